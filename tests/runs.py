@@ -26,15 +26,18 @@ CALM = Environment()
 
 
 def random_steps(
-    document, seed: int, seconds: float, step: float, effects=None, gust=None
+    document, seed: int, seconds: float, step: float, effects=None, gust=None, noise: float = 1.0
 ) -> Trajectory:
-    """A run of the oracle with random thrusts to both sides, as its sensors show it."""
+    """A run of the oracle with random thrusts to both sides, as its sensors show it.
+
+    `noise` multiplies theirs.
+    """
     rng = np.random.default_rng(seed)
     thrust = lambda: dict(zip(("port", "starboard"), rng.uniform(30, 210, 2), strict=True))
     orders = [(t, thrust()) for t in np.arange(0, seconds, 4.0)]
     sim = simulate(document, orders, seconds, effects, gust=gust)
     t = np.arange(0.0, seconds, step)
-    rec = sensors.record(sim, t, sensors.suite(), rng, wrapped=False)
+    rec = sensors.record(sim, t, sensors.suite(noise), rng, wrapped=False)
     motion = {c: np.asarray(rec[c], float) for c in ("x", "y", "psi", "u", "v", "r")}
     commanded = {c: np.asarray(rec[f"cmd_{c}"], float) for c in ("port", "starboard")}
     return Trajectory(

@@ -22,7 +22,7 @@ from diffsea import Diagnosis, Trajectory, cut, read_mapping, read_recording, re
 from diffsea.diagnosis.experiment import next_experiment
 from diffsea.diagnosis.record import summary, vessel_document
 from diffsea.diagnosis.verdict import diagnose
-from diffsea.identification.holdout import held_out_vessels
+from diffsea.identification.run_models import held_out_models
 from diffsea.recordings import audit
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.predictions import compare, horizon_table
@@ -120,7 +120,7 @@ def _record(case: Case, diagnosis: Diagnosis) -> dict:
     proposal = None if experiment is None else experiment.as_dict()
     split = diagnosis.split
     before, with_names = (
-        held_out_vessels(split, one) for one in (diagnosis.nominal, diagnosis.final)
+        held_out_models(split, one) for one in (diagnosis.nominal, diagnosis.final)
     )
     runs = compare(split.held_out, before, with_names if diagnosis.names else None)
     record = summary(diagnosis, findings, horizon_table(runs), proposal)

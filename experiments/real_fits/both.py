@@ -26,6 +26,7 @@ from diffsea.identification.objectives.trial_numbers import (
     TrialNumbers,
 )
 from diffsea.identification.problem import make_problem
+from diffsea.identification.run_models import RunModel
 from diffsea.identification.uncertainty.sources import sources
 from diffsea.simulation import planning
 from diffsea.vessel.files import VesselFile, build, updated_document
@@ -94,7 +95,7 @@ def study(run: Experiment, name: str) -> None:
     for way, objective in ways.items():
         found = objective.fit(free)
         vessel = fitted_vessel(file, objective, found)
-        rows = errors(held_out, file.vessel, [vessel] * len(held_out))
+        rows = errors(held_out, file.vessel, [RunModel(vessel)] * len(held_out))
         judged = sources(objective, found)
         record[way] = {
             "outcome": found.outcome.value,

@@ -33,6 +33,7 @@ from diffsea import (
     read_vessel,
     recording_metrics,
 )
+from diffsea.identification.run_models import RunModel
 from diffsea.identification.study import FitSettings, identify
 from diffsea.report.predictions import ComparedRun, horizon_table, predict
 from diffsea.simulation import planning
@@ -132,7 +133,7 @@ def study_set(run: Experiment, name: str, case: Set) -> None:
         "numbers": [
             row
             for run, after in zip(judged, fitted, strict=True)
-            for row in numbers(run, file.vessel, after)
+            for row in numbers(run, file.vessel, after.vessel)
         ],
         "identifiability": study.identifiability.as_dict(),
         "circles": circles(case, file.vessel, vessel),
@@ -195,10 +196,16 @@ def _mapping(case: Set) -> str:
     return repaired.name if repaired.exists() else "mapping.toml"
 
 
-def errors(test: Sequence[Trajectory], before: Vessel, after: Sequence[Vessel]) -> list[dict]:
+def errors(test: Sequence[Trajectory], before: Vessel, after: Sequence[RunModel]) -> list[dict]:
     """Free-run errors at 5, 20 and 60 s, of the vessel file and of the fit to each run."""
     runs = [
-        ComparedRun(run, {"file": predict(before, run), "fit": predict(fitted, run)})
+        ComparedRun(
+            run,
+            {
+                "file": predict(before, run, fitted.states),
+                "fit": predict(fitted.vessel, run, fitted.states),
+            },
+        )
         for run, fitted in zip(test, after, strict=True)
     ]
     return horizon_table(runs)

@@ -35,11 +35,11 @@ from diffsea.identification.holdout import (
     _Known,
     exchanged_fit,
     held_out_gain,
-    held_out_vessels,
     row_deviance,
     split_data,
 )
 from diffsea.identification.problem import make_problem
+from diffsea.identification.run_models import RunModel, held_out_models
 from diffsea.identification.sufficiency import (
     FitVerdict,
     Shortfall,
@@ -100,12 +100,13 @@ def test_a_late_sensor_is_no_divergence_where_a_prediction_ends_with_the_run(
     data, right, monkeypatch
 ):
     """At 180 s the true motion is shown after the last row; a model that diverges is infinite."""
-    exact = held_out_vessels(data, right)[0]
+    exact = held_out_models(data, right)[0].vessel
     late = eqx.tree_at(lambda v: v.sensors.latency_position, exact, 0.8)
     wild = eqx.tree_at(lambda v: v.rigid_body.mass, exact, 1e-9)
     delayed, loose = dataclasses.replace(right), dataclasses.replace(right)
     vessels = {id(right): exact, id(delayed): late, id(loose): wild}
-    monkeypatch.setattr(free_predictions, "held_out_vessels", lambda _, model: [vessels[id(model)]])
+    models = lambda _, model: [RunModel(vessels[id(model)])]
+    monkeypatch.setattr(free_predictions, "held_out_models", models)
     run = data.held_out[0]
     data = dataclasses.replace(data, held_out=(run.rows(run.t <= 180.0),))
     found, whole = (relative_losses(data, right, other) for other in (delayed, right))

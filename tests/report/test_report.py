@@ -16,10 +16,11 @@ from tests.paths import ORACLE
 
 from diffsea import EFFECTS, Study, Trajectory, Vessel, read_vessel, replay
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.holdout import HeldOut, Split, held_out_vessels
+from diffsea.identification.holdout import HeldOut, Split
 from diffsea.identification.multistart import Agreement
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.problem import Problem, make_problem
+from diffsea.identification.run_models import RunModel, held_out_models
 from diffsea.identification.sufficiency import FitVerdict
 from diffsea.identification.uncertainty.identifiability import Identifiability, identifiability
 from diffsea.identification.uncertainty.sources import Source, Sources
@@ -346,7 +347,8 @@ def page_from(result: dict, found: Found) -> str:
 def compared(found: Found) -> list[ComparedRun]:
     """The nominal vessel and the one with the current on every held-out run."""
     runs = found.split.held_out
-    return compare(runs, [usv()] * len(runs), [usv(0.3)] * len(runs) if found.names else None)
+    before, after = ([RunModel(vessel)] * len(runs) for vessel in (usv(), usv(0.3)))
+    return compare(runs, before, after if found.names else None)
 
 
 def with_errors(result: dict, runs: list[ComparedRun]) -> dict:
@@ -548,8 +550,8 @@ def test_names_from_files_are_escaped():
 
 def test_a_current_of_each_run_is_its_own():
     found = outcome_of("explained", currents=(0.5, -0.5))
-    runs, own = found.split.held_out, held_out_vessels(found.split, found.final)
-    ahead, astern = compare(runs, [usv()] * len(runs), own)
+    runs, own = found.split.held_out, held_out_models(found.split, found.final)
+    ahead, astern = compare(runs, [RunModel(usv())] * len(runs), own)
     for run, sign in ((ahead, 1), (astern, -1)):
         drift = run.predictions["diagnosed"].run.x - run.predictions["nominal"].run.x
         assert drift[-1] == pytest.approx(sign * 0.5 * 69.5, rel=0.05)

@@ -1,8 +1,9 @@
 """Whether a model predicts the motion better than another, free of corrections on the way.
 
 A normalised innovation says how well a model predicts one sample; gusts and sensor noise that a fit
-may choose can flatter it. A free prediction starts in a recorded state and knows nothing but the
-orders, or the measured actuation, of what follows: noise cannot help there.
+may choose can flatter it. A free prediction knows nothing but the orders, or the measured
+actuation, of what follows the state in which it starts: noise cannot help there. The state is as
+recorded, or, where velocities were not, as the filter has it by what came before.
 """
 
 import dataclasses
@@ -16,13 +17,13 @@ from scipy.stats import t
 
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.covariance import Noise, gust_propagation
-from diffsea.identification.holdout import Split, held_out_coordinates, held_out_vessels
+from diffsea.identification.holdout import Split, held_out_coordinates
 from diffsea.identification.problem import Problem
+from diffsea.identification.run_models import RunModel, held_out_models
 from diffsea.kinematics import wrap
 from diffsea.simulation.replay import prediction_misses
 from diffsea.statistics import moving_block_draws
 from diffsea.trajectory import Trajectory
-from diffsea.vessel.base import Vessel
 
 
 HORIZONS = (20.0, 60.0)  # s ahead, at which predictions must not get worse
@@ -31,6 +32,7 @@ DRAWS = 500  # of the bootstrap
 BEYOND_CHANCE = 0.99  # level of both: a cause that is true may cost a little by chance
 NOTICEABLE = 1.1  # times the mean square: errors of parameters move all draws alike, unseen
 PROBABLE = 0.95  # level at which they speak for a cause that one-step errors leave open
+UNSETTLED = 2.0  # times the usual variance of filtered speeds: a filter that has just begun
 LARGEST_RATIO = 10.0  # of one prediction's loss over the usual one: more says no more
 
 
@@ -188,9 +190,9 @@ def relative_losses(split: Split, before: Estimate, after: Estimate) -> LossesBy
     after its end. Horizons longer than every run are absent.
     """
     squares: dict[float, tuple[list[np.ndarray], ...]] = {}
-    vessels = [held_out_vessels(split, model) for model in (before, after)]
+    models = [held_out_models(split, model) for model in (before, after)]
     for number, run in enumerate(split.held_out):
-        own, other = (_squared_misses(some[number], run) for some in vessels)
+        own, other = (_squared_misses(some[number], run) for some in models)
         for horizon, misses in own.items():
             columns = misses, other[horizon], np.full(len(misses), number)
             for column, kept in zip(
@@ -215,14 +217,15 @@ def relative_losses(split: Split, before: Estimate, after: Estimate) -> LossesBy
 
 
 def _squared_misses(
-    vessel: Vessel, run: Trajectory
+    model: RunModel, run: Trajectory
 ) -> dict[float, Float[np.ndarray, "start quantity"]]:
     """Squared misses of position, heading, u, v and r by horizon.
 
     NaN where not measured, infinite where the vessel diverged.
     """
     found = {}
-    for horizon, misses in prediction_misses(vessel, run, HORIZONS, SPACING).items():
+    predicted = prediction_misses(model.vessel, run, HORIZONS, SPACING, states=model.states)
+    for horizon, misses in predicted.items():
         position = misses["x"] ** 2 + misses["y"] ** 2
         turned = misses["psi"]
         heading = np.where(np.isinf(turned), np.inf, wrap(turned)) ** 2
@@ -250,10 +253,10 @@ def motion_misfit(split: Split, fitted: Estimate) -> MotionMisfit:
     Gusts count, and are remembered, as far as is plausible for the vessel's size: a fit has bounds
     for them.
     """
-    coordinates, vessels = held_out_coordinates(split, fitted), held_out_vessels(split, fitted)
+    coordinates, models = held_out_coordinates(split, fitted), held_out_models(split, fitted)
     squares: dict[float, list[np.ndarray]] = {}
-    for run, vessel in zip(split.held_out, vessels, strict=True):
-        for horizon, misses in _squared_misses(vessel, run).items():
+    for run, model in zip(split.held_out, models, strict=True):
+        for horizon, misses in _squared_misses(model, run).items():
             squares.setdefault(horizon, []).append(misses[:, :2])
     ratio, blocks = {}, {}
     for horizon, found in squares.items():
@@ -274,7 +277,8 @@ def expected_squares(
     """Mean squares of position (m^2) and heading (rad^2) missed by `horizon` s of free prediction.
 
     The covariance that gusts add along the linearised motion from a state measured by its sensors,
-    seen by them once more at the end; mean over starts along the data, NaN where there is none.
+    or filtered where velocities were not recorded, seen by them once more at the end; mean over
+    starts along the data once the filter has settled, NaN where there is none.
     """
     run = problem.run_filter(coordinates, noise)
     F, data = np.asarray(run.F), problem.dataset
@@ -289,7 +293,13 @@ def expected_squares(
     if not len(starts):
         return np.full(2, np.nan)
     sensor, slow = np.exp(2 * np.asarray(noise.sensor)), np.exp(2 * np.asarray(noise.slow))
-    P = np.tile(np.diag(np.concatenate([sensor, slow])), (len(starts), 1, 1))
+    measured = np.diag(np.concatenate([sensor, slow]))
+    known, number = np.asarray(data.known), np.asarray(data.run)[starts]
+    is_measured = np.array([known[rows, 3:5].any(0).all() for rows in data.rows_of_runs])[number]
+    P = np.where(is_measured[:, None, None], measured, np.asarray(run.covariance)[starts])
+    speeds = P[:, 3, 3] + P[:, 4, 4]
+    is_settled = speeds <= UNSETTLED * np.median(speeds)
+    P, starts, ends = P[is_settled], starts[is_settled], ends[is_settled]
     for step in range(int((ends - starts).max(initial=0))):
         going = starts + step < ends
         rows = (starts + step)[going]

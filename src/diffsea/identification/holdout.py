@@ -8,15 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from typing import Generic, NamedTuple, TypeVar
 
-import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import t
 
 from diffsea.budget import on_every_core
 from diffsea.errors import UserError
-from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
 from diffsea.identification.estimates import Estimate, ParameterRecord, parameter_records
 from diffsea.identification.filter.correlated_errors import thin_channels
@@ -220,21 +217,6 @@ def held_out_coordinates(split: Split, fitted: Estimate) -> Coordinates:
     return estimate(
         split.head, tuple(own), start=out, noise=fitted.noise, rounds=4, fixed_noise=True
     ).coordinates
-
-
-def held_out_vessels(split: Split, fitted: Estimate) -> list[Vessel]:
-    """The fitted vessel in the environment of each held-out run.
-
-    It has all parts of the catalogue, most of them without effect, whatever is fitted: programs
-    compiled for one fit serve all.
-    """
-    coordinates = held_out_coordinates(split, fitted)
-    vessel, flow = _vessel_at(split.test.base, split.test.layout, coordinates)
-    flows = [jax.tree.map(lambda leaf, k=k: leaf[k], flow) for k in range(len(split.held_out))]
-    return [dataclasses.replace(vessel, environment=one) for one in flows]
-
-
-_vessel_at = eqx.filter_jit(vessel_at)
 
 
 def row_deviance(

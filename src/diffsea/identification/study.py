@@ -27,7 +27,6 @@ from diffsea.identification.holdout import (
     Split,
     cut_recordings,
     held_out_coordinates,
-    held_out_vessels,
     thinned,
 )
 from diffsea.identification.multistart import Agreement, effect_starts, multistart
@@ -41,6 +40,12 @@ from diffsea.identification.objectives.trial_numbers import (
     acts_in_trials,
 )
 from diffsea.identification.problem import Problem, make_problem
+from diffsea.identification.run_models import (
+    Motion,
+    RunModel,
+    filtered_states,
+    held_out_models,
+)
 from diffsea.identification.sufficiency import FitVerdict, missing_channel, sufficiency
 from diffsea.identification.uncertainty.design import NextManoeuvre, next_manoeuvre
 from diffsea.identification.uncertainty.identifiability import (
@@ -196,15 +201,21 @@ class Study:
         head, rest = problem_of(heads), problem_of(tails)
         return Split(train, rest, head, (), tuple(tails), HeldOut.AFTER_HEAD)
 
-    def held_out(self, test: Sequence[Trajectory]) -> tuple[list[Trajectory], list[Vessel]]:
+    def held_out(self, test: Sequence[Trajectory]) -> tuple[list[Trajectory], list[RunModel]]:
         """Runs to judge predictions by, and the fitted vessel in the environment of each.
 
         Where each recording has its own, it is estimated on the first part of a run held out,
         and the rest is judged.
         """
         data = self.split(test)
+        return list(data.held_out), held_out_models(data, self._filtered)
+
+    def states_of(self, recordings: Sequence[Trajectory]) -> list[Motion | None]:
+        """States in which predictions of the runs that were fitted begin, as of a `RunModel`."""
+        if self.problem is None:
+            return []
         fitted = self._filtered
-        return list(data.held_out), held_out_vessels(data, fitted)
+        return filtered_states(self.problem, fitted.coordinates, fitted.noise, recordings)
 
     @property
     def noise(self) -> Noise:

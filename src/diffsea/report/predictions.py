@@ -1,7 +1,8 @@
 """Runs against what models predict of them, open loop: errors, tables of these, and curves.
 
-A prediction starts at the first measured state and knows nothing but the orders (or the measured
-actuation), so that its error is the model's own; it grows with time, and is told by horizon.
+A prediction starts in a measured state and knows nothing but the orders (or the measured
+actuation), so that its error is the model's own; it grows with time, and is told by horizon. Where
+velocities were not measured, it starts in what a filter makes of what came before.
 """
 
 import dataclasses
@@ -11,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from diffsea.identification.run_models import Motion, RunModel
 from diffsea.report import plots
 from diffsea.report.histories import Curve, compared_histories
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim
@@ -64,19 +66,22 @@ class ComparedRun:
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
 
-def predict(vessel: Vessel, run: Trajectory) -> Prediction:
+def predict(vessel: Vessel, run: Trajectory, states: Motion | None = None) -> Prediction:
     """One model on one run.
+
+    Arguments:
+        states: in which the predictions begin whose errors are told, as of a `RunModel`.
 
     Raises:
         UserError: the run has no orders for an actuator of the vessel.
     """
-    return Prediction(replay(vessel, run), horizon_errors(vessel, run))
+    return Prediction(replay(vessel, run), horizon_errors(vessel, run, states=states))
 
 
 def compare(
     runs: Sequence[Trajectory],
-    nominal: Sequence[Vessel],
-    diagnosed: Sequence[Vessel] | None = None,
+    nominal: Sequence[RunModel],
+    diagnosed: Sequence[RunModel] | None = None,
 ) -> list[ComparedRun]:
     """Two models on every run.
 
@@ -84,12 +89,13 @@ def compare(
         nominal: for each run the vessel in the environment of that run.
         diagnosed: likewise with what was named; None where nothing was: both models are one.
     """
-    before = [predict(vessel, run) for vessel, run in zip(nominal, runs, strict=True)]
-    after = before
-    if diagnosed is not None:
-        after = [predict(vessel, run) for vessel, run in zip(diagnosed, runs, strict=True)]
+    predicted = lambda models: [
+        predict(model.vessel, run, model.states) for model, run in zip(models, runs, strict=True)
+    ]
+    before = predicted(nominal)
+    after = before if diagnosed is None else predicted(diagnosed)
     both = zip(runs, before, after, strict=True)
-    units = nominal[0].units if nominal else {}
+    units = nominal[0].vessel.units if nominal else {}
     return [ComparedRun(run, {"nominal": old, "diagnosed": new}, units) for run, old, new in both]
 
 

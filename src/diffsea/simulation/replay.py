@@ -5,7 +5,7 @@ run (`replay`, `replay_errors`) and from many starts along it (`horizon_errors`)
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -85,10 +85,6 @@ class _ReplayInputs(NamedTuple):
         """The steps with the response of every channel."""
         return _DrivenSteps(self.steps.t, self.steps.dt, self.response, self.steps.heel)
 
-    def states_at(self, rows: Int[np.ndarray, "start"] | int) -> State:
-        """The recorded states in some rows."""
-        return State(*(jnp.asarray(self.motion[c][rows]) for c in MOTION_CHANNELS))
-
 
 def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = True) -> Trajectory:
     """The run that the model predicts at the recording's time stamps, open loop.
@@ -106,7 +102,7 @@ def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = Tru
     """
     vessel = _as_arrays(vessel)
     inputs = _replay_inputs(vessel, recording, measured_actuation)
-    states = _integrate(vessel, inputs.states_at(0), inputs.driven)
+    states = _integrate(vessel, _states_at(inputs.motion, 0), inputs.driven)
     true = {c: np.asarray(getattr(states, c))[inputs.rows] for c in MOTION_CHANNELS}
     length = float(vessel.rigid_body.length)
     finite = all(np.isfinite(values).all() for values in true.values())
@@ -157,14 +153,19 @@ def horizon_errors(
     horizons: Sequence[float] = HORIZONS,
     spacing: float = 10.0,
     measured_actuation: bool = True,
+    states: Mapping[str, Samples] | None = None,
 ) -> dict[float, dict[str, float]]:
     """Errors of predictions so many seconds ahead, started every `spacing` s along the run.
 
     For each horizon (s) that the recording is long enough for: the names of `replay_errors`,
     root mean square over the starts, and `starts`, how many there were. Where predictions diverged
     the errors are those of the others, and `diverged` is how many.
+
+    Arguments:
+        states: true motion in the rows that count, by channel, in which predictions begin; what was
+            recorded, and what is derived from it, if None.
     """
-    misses = prediction_misses(vessel, recording, horizons, spacing, measured_actuation)
+    misses = prediction_misses(vessel, recording, horizons, spacing, measured_actuation, states)
     errors = {}
     for horizon, found in misses.items():
         diverged = int(np.isinf(np.stack(list(found.values()))).any(0).sum())
@@ -179,12 +180,14 @@ def prediction_misses(
     horizons: Sequence[float] = HORIZONS,
     spacing: float = 10.0,
     measured_actuation: bool = True,
+    states: Mapping[str, Samples] | None = None,
 ) -> dict[float, dict[str, Float[np.ndarray, "start"]]]:
     """Predicted less measured motion so many seconds after each of many starts.
 
     For each horizon (s) that the recording is long enough for, by motion channel, in SI units
     (headings not wrapped); NaN where a channel was not measured, infinite where the prediction
-    diverged: where its motion is none of a craft of that length.
+    diverged: where its motion is none of a craft of that length. `states` are those of
+    `horizon_errors`.
     """
     t = recording.counted().t
     if t[0] + min(horizons) > t[-1]:
@@ -200,7 +203,7 @@ def prediction_misses(
     end = np.where(wanted - t[after - 1] < t[after] - wanted, after - 1, after)
     end = np.where(np.abs(t[end] - wanted) <= near, end, -1)
     ends = np.where(end >= 0, rows[np.maximum(end, 0)] - rows[begin][:, None], 0)
-    states = _predict_from_each(vessel, inputs, begin, ends)
+    reached = _predict_from_each(vessel, inputs, motion if states is None else states, begin, ends)
     length = float(vessel.rigid_body.length)
     known = {c: _has_sample_near(vessel.sensors, inputs.run, c) for c in MOTION_CHANNELS}
     found = {}
@@ -209,13 +212,13 @@ def prediction_misses(
             continue
         counted = end[:, k] >= 0
         at = end[counted, k]
-        reached = {c: getattr(states, c)[counted, k] for c in MOTION_CHANNELS}
-        sound = plausible_motion(length, *(reached[c] for c in "uvr")) & np.all(
-            np.isfinite([reached[c] for c in ("x", "y", "psi")]), axis=0
+        ahead = {c: getattr(reached, c)[counted, k] for c in MOTION_CHANNELS}
+        sound = plausible_motion(length, *(ahead[c] for c in "uvr")) & np.all(
+            np.isfinite([ahead[c] for c in ("x", "y", "psi")]), axis=0
         )
         misses = {}
         for c in MOTION_CHANNELS:
-            missed = np.where(sound, reached[c] - motion[c][at], np.inf)
+            missed = np.where(sound, ahead[c] - motion[c][at], np.inf)
             misses[c] = np.where(known[c][at], missed, np.nan)
         found[float(horizon)] = misses
     return found
@@ -323,10 +326,11 @@ def _integrate(vessel: Vessel, first: State, steps: _DrivenSteps) -> State:
 def _predict_from_each(
     vessel: Vessel,
     inputs: _ReplayInputs,
+    motion: Mapping[str, Samples],
     begin: Int[np.ndarray, "start"],
     ends: Int[np.ndarray, "start horizon"],
 ) -> State:
-    """The states so many steps after the rows at which predictions begin."""
+    """The states so many steps after those of a motion in the rows at which predictions begin."""
     steps, last, found = inputs.driven, len(begin) - 1, []
     spare = _padded(steps.t.size, _COARSE_FACTOR) - steps.t.size
     steps = jax.tree.map(lambda leaf: jnp.asarray(np.pad(leaf, (0, spare))), steps)
@@ -334,8 +338,8 @@ def _predict_from_each(
         # Spare starts repeat the last one.
         together = np.arange(k, k + _STARTS_TOGETHER).clip(max=last)
         rows = begin[together]
-        given = inputs.states_at(rows), jnp.asarray(inputs.rows[rows]), jnp.asarray(ends[together])
-        found.append(_integrate_from_each(vessel, *given, steps))
+        spans = jnp.asarray(inputs.rows[rows]), jnp.asarray(ends[together])
+        found.append(_integrate_from_each(vessel, _states_at(motion, rows), *spans, steps))
     return jax.tree.map(lambda *parts: np.concatenate(parts)[: last + 1], *found)
 
 
@@ -366,6 +370,10 @@ def _integrate_from_each(
     first = jax.tree.map(lambda value: jnp.asarray(value, float), first)
     none = jax.tree.map(lambda value: jnp.broadcast_to(value[:, None], ends.shape), first)
     return jax.lax.fori_loop(0, ends.max() + 1, body, (first, none))[1]
+
+
+def _states_at(motion: Mapping[str, Samples], rows: Int[np.ndarray, "start"] | int) -> State:
+    return State(*(jnp.asarray(motion[c][rows]) for c in MOTION_CHANNELS))
 
 
 def _rms_errors(difference: dict[str, Samples]) -> dict[str, float]:

@@ -17,12 +17,12 @@ from diffsea.diagnosis.verdict import Diagnosis
 from diffsea.diagnosis.verdict import diagnose as search_effects
 from diffsea.errors import UserError
 from diffsea.identification.free_predictions import free_errors
-from diffsea.identification.holdout import held_out_vessels
 from diffsea.identification.objectives.trial_numbers import (
     MeasuredTrial,
     is_trial_table,
     read_trial_table,
 )
+from diffsea.identification.run_models import held_out_models
 from diffsea.identification.study import (
     FitSettings,
     Study,
@@ -416,8 +416,8 @@ def diagnose(
         nominal, diagnosed = (VesselFile(build(one), one, file.path) for one in documents)
         predicted = []
         if not left.skips("free predictions"):
-            before = held_out_vessels(found.split, found.nominal)
-            after = held_out_vessels(found.split, found.final) if found.names else None
+            before = held_out_models(found.split, found.nominal)
+            after = held_out_models(found.split, found.final) if found.names else None
             predicted = compare(found.split.held_out, before, after)
         proposal = None if experiment is None else experiment.as_dict()
         source = provenance(file, runs, held_out)

@@ -73,6 +73,7 @@ class FilterRun(eqx.Module):
     state: Float[Array, "row 6"]  # of the vessel, after the row's measurements
     innovation: Float[Array, "row 6"]  # zero where missing
     white: Float[Array, "row 6"]  # the same, whitened
+    covariance: Float[Array, "row 9 9"]  # of the filter's state, after the row's measurements
     variance: Float[Array, "row 6"]  # of the sequential innovations; one where missing
     F: Float[Array, "row 6 6"]  # the vessel's state to its next state
     H: Float[Array, "row 6 9"]  # the filter's state to measurement
@@ -328,6 +329,7 @@ def run_filter(
         used = row.known & (near | row.starts)
         innovation = jnp.where(used, innovation, 0.0)
         K, W, P, variance = measurement_update(P, H, R, used, Q_before, late)
+        corrected = P
         z = z + matrix_vector(K, innovation)
         impulse = gust.half * z[6:]
         x = with_impulse(z[:6], impulse)
@@ -335,7 +337,7 @@ def run_filter(
         P = time_update(P, F, gust, Q)
         x = with_impulse(x, impulse)
         white = matrix_vector(W, innovation)
-        out = (K, W, used, z[:6], innovation, white, variance, F, H, impulse, lasting)
+        out = (K, W, used, z[:6], innovation, white, corrected, variance, F, H, impulse, lasting)
         z, acceleration = jnp.concatenate([x, gust.decay * z[6:]]), mean_acceleration(row, z, x)
         return (z, acceleration, P), out
 

@@ -1,0 +1,84 @@
+"""A fitted vessel in each run held out: its environment, and the states predictions begin in."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from diffsea.identification.coordinates import vessel_at
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.filter.covariance import Noise
+from diffsea.identification.filter.latency import without_time_errors
+from diffsea.identification.holdout import Split, held_out_coordinates
+from diffsea.identification.problem import Coordinates, Problem
+from diffsea.trajectory import MOTION_CHANNELS, Samples, Trajectory
+from diffsea.vessel.base import Vessel
+
+
+Motion = dict[str, Samples]  # by motion channel, in the rows of a recording that count
+
+
+class RunModel(NamedTuple):
+    """A vessel in the environment of a run.
+
+    Attributes:
+        states: motion in which free predictions begin, in the rows that count; as recorded if None.
+    """
+
+    vessel: Vessel
+    states: Motion | None = None
+
+
+def held_out_models(split: Split, fitted: Estimate) -> list[RunModel]:
+    """The fitted vessel in the environment of each held-out run.
+
+    It has all parts of the catalogue, most of them without effect, whatever is fitted: programs
+    compiled for one fit serve all.
+    """
+    coordinates = held_out_coordinates(split, fitted)
+    vessel, flow = _vessel_at(split.test.base, split.test.layout, coordinates)
+    flows = [jax.tree.map(lambda leaf, k=k: leaf[k], flow) for k in range(len(split.held_out))]
+    states = filtered_states(split.test, coordinates, fitted.noise, split.held_out)
+    return [
+        RunModel(dataclasses.replace(vessel, environment=flow), own)
+        for flow, own in zip(flows, states, strict=True)
+    ]
+
+
+_vessel_at = eqx.filter_jit(vessel_at)
+
+
+def filtered_states(
+    problem: Problem, coordinates: Coordinates, noise: Noise, runs: Sequence[Trajectory]
+) -> list[Motion | None]:
+    """What a filter makes of the motion in each of a problem's runs, by what was recorded before.
+
+    None of a run whose velocities were recorded. Those that are derived from fixes miss the sway of
+    a vessel by as much as a turn makes of it: predictions would err by their first states, whatever
+    the model. Between the rows that are filtered motion is linear.
+    """
+    if all(has_velocities(run) for run in runs):
+        return [None] * len(runs)
+    states = np.asarray(problem.run_filter(coordinates, noise).state)
+    vessel, _ = _vessel_at(problem.base, problem.layout, coordinates)
+    times = np.asarray(without_time_errors(vessel, problem.dataset)[1].run_time)
+    found: list[Motion | None] = []
+    for run, rows in zip(runs, problem.dataset.rows_of_runs, strict=False):
+        at = {} if has_velocities(run) else _motion_at(run.counted().t, times[rows], states[rows])
+        found.append(at or None)
+    return found
+
+
+def has_velocities(run: Trajectory) -> bool:
+    """Whether speeds ahead and to the side were both recorded."""
+    return run.has("u") and run.has("v")
+
+
+def _motion_at(
+    t: Samples, times: Float[np.ndarray, "row"], states: Float[np.ndarray, "row 6"]
+) -> Motion:
+    return {c: np.interp(t, times, states[:, k]) for k, c in enumerate(MOTION_CHANNELS)}

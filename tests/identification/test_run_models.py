@@ -1,0 +1,123 @@
+# pyright: reportArgumentType=false
+"""In which states predictions of a run begin whose velocities were not recorded."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tests.oracle.sensors import gust
+from tests.oracle.simulator import load
+from tests.paths import ORACLE
+from tests.runs import random_steps
+
+from diffsea.identification.fit import estimate
+from diffsea.identification.free_predictions import motion_misfit
+from diffsea.identification.holdout import split_data
+from diffsea.identification.problem import make_problem
+from diffsea.identification.run_models import filtered_states, held_out_models
+from diffsea.simulation.replay import horizon_errors, prediction_misses
+from diffsea.vessel.files import build
+
+
+pytestmark = pytest.mark.slow
+
+
+FREE = ("X_u", "X_uu", "Y_v", "N_r", "N_rr")
+FIX, COMPASS = 0.3, 0.01  # m, rad, by which fixes and headings scatter
+
+
+def fixes(seed: int):
+    """A run with the velocities that are true, and as a receiver and a compass show it."""
+    rng = np.random.default_rng(seed)
+    gusts = gust(rng, 0.0, 200.0)
+    whole = random_steps(load(str(ORACLE / "usv.toml")), seed, 200.0, 0.5, gust=gusts, noise=1e-9)
+    scattered = lambda values, by: values + by * rng.normal(size=len(whole.t))
+    x, y, psi = scattered(whole.x, FIX), scattered(whole.y, FIX), scattered(whole.psi, COMPASS)
+    nothing = np.full(whole.t.shape, np.nan)
+    return whole, dataclasses.replace(whole, x=x, y=y, psi=psi, u=nothing, v=nothing, r=nothing)
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return [fixes(seed) for seed in (11, 12)]
+
+
+@pytest.fixture(scope="module")
+def data(runs):
+    boat = build(load(str(ORACLE / "usv.toml")))
+
+    def problem_of(recordings, least):
+        return make_problem(boat, recordings, FREE, least=least)
+
+    (_, train), (_, test) = runs
+    return split_data(problem_of, [train], [test], per_run=False)
+
+
+@pytest.fixture(scope="module")
+def fitted(data):
+    return estimate(data.train, FREE)
+
+
+def rms(values) -> float:
+    return float(np.sqrt(np.nanmean(np.square(values))))
+
+
+def test_predictions_begin_in_what_the_filter_knows(data, fitted, runs):
+    """Its velocities are nearer to the true ones, and so is where predictions lead."""
+    whole, run = runs[1]
+    ((vessel, states),) = held_out_models(data, fitted)
+    assert states is not None and all(len(states[c]) == len(run.t) for c in "uvr")
+    later = whole.t > 10.0
+    for channel, error in (("u", 0.025), ("v", 0.03), ("r", 0.01)):
+        assert rms((states[channel] - whole.motion[channel])[later]) < error, channel
+    by_filter, derived = (
+        horizon_errors(vessel, run, (5.0,), 5.0, states=own)[5.0] for own in (states, None)
+    )
+    assert by_filter["position"] < 0.85 * derived["position"]
+
+
+def test_the_filter_states_how_well_it_knows_them(data, fitted, runs):
+    whole, _ = runs[1]
+    found = data.test.run_filter(np.zeros(len(FREE)), fitted.noise)
+    rows = data.test.dataset.rows_of_runs[0]
+    rows = rows[np.asarray(data.test.dataset.run_time)[rows] > 10.0]
+    at = np.searchsorted(whole.t, np.asarray(data.test.dataset.run_time)[rows])
+    for k, channel in ((3, "u"), (4, "v"), (5, "r")):
+        off = np.asarray(found.state)[rows, k] - np.asarray(whole.motion[channel])[at]
+        stated = np.asarray(found.covariance)[rows, k, k]
+        assert 0.3 < np.mean(off**2 / stated) < 2.0, channel
+
+
+def test_noise_explains_what_predictions_from_filtered_states_miss(data, fitted):
+    ratio = motion_misfit(data, fitted).ratio
+    assert set(ratio) == {20.0, 60.0} and all(0.3 < one < 3.0 for one in ratio.values())
+
+
+def test_no_reading_of_what_follows_is_known_where_a_prediction_begins(data, fitted, runs):
+    """Whatever is recorded from 100 s on, the states before are the same."""
+    _, run = runs[1]
+    rng, later = np.random.default_rng(0), run.t > 100.0
+    shuffled = dataclasses.replace(run, x=np.where(later, rng.normal(size=len(run.t)), run.x))
+    states = [
+        filtered_states(
+            make_problem(data.test.base, [one], FREE), fitted.coordinates, fitted.noise, [one]
+        )[0]
+        for one in (run, shuffled)
+    ]
+    before = run.t <= 100.0
+    for channel in ("x", "u", "v", "r"):
+        np.testing.assert_allclose(*(one[channel][before] for one in states), rtol=1e-9)
+    assert np.abs(states[0]["u"] - states[1]["u"])[later].max() > 0.02
+
+
+def test_recorded_velocities_are_what_predictions_begin_with(data, fitted, runs):
+    whole, run = runs[1]
+    problem = make_problem(data.test.base, [whole, run], FREE)
+    found = filtered_states(problem, fitted.coordinates, fitted.noise, [whole, run])
+    assert found[0] is None and found[1] is not None
+    true = {c: np.asarray(whole.motion[c]) for c in whole.motion}
+    told, as_recorded = (
+        prediction_misses(data.test.base, whole, (5.0,), 5.0, states=own)[5.0]["u"]
+        for own in (true, None)
+    )
+    np.testing.assert_allclose(told, as_recorded, atol=1e-6)
