@@ -1,11 +1,12 @@
-"""When did the thrusters of milliAmpere act? The motion asked, beside the motors' own readings.
+"""When did actuators act? The motion asked, beside what their records say.
 
     python -m experiments.concealed_real.shifted_orders
 
-The facts of `facts.py` are from the measured speeds of the motors. Here orders are written late or
-lagged by hand, before anything is fitted, and the vessel, its gusts, its sensors' noise and a
-latency of the velocities are fitted anew to each: how much less likely is the motion than at best?
-Writes `results/shifted_orders.json`, with how seldom the motors' readings change.
+The facts of `facts.py` on milliAmpere are from the measured speeds of the motors. Here orders are
+written late or lagged by hand, before anything is fitted, and the vessel, its gusts, its sensors'
+noise and a latency of the velocities are fitted anew to each: how much less likely is the motion
+than at best? KCS's recorded rudder and propeller are moved likewise, her roll coupling fitted with
+the vessel. Writes `results/shifted_orders.json`, with how seldom the motors' readings change.
 """
 
 import dataclasses
@@ -26,6 +27,8 @@ LATE = "sensor-latency:velocity"
 DELAYS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)  # s
 LAGGED = ((0.6, 0.5), (0.6, 0.8), (0.6, 1.3))  # s of dead time and of lag, as the motors read
 CHANNELS = ("a1", "a2", "a3", "a4")
+ROLL = "roll-coupling"
+MOVES = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)  # s by which KCS's records are later
 
 
 def held_late(t: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
@@ -53,8 +56,16 @@ def shifted(run: Run, delay: float, constant: float) -> Run:
     return out
 
 
-def deviance(material: Material) -> float:
-    """-2 log likelihood of the training runs, priors included, at the best fit."""
+def moved(run: Run, delay: float) -> Run:
+    """The run with everything that was executed recorded so much later; linear between rows."""
+    out, t = run.copy(), run["t"].to_numpy()
+    for name in (column for column in run.columns if column.startswith("exec_")):
+        out[name] = np.interp(t - delay, t, run[name].to_numpy())
+    return out
+
+
+def deviance(material: Material, effect: str) -> float:
+    """-2 log likelihood of the training runs, priors included, at the best fit with an effect."""
     # Once diffsea has set JAX up.
     from diffsea.identification.coordinates import free_by_default
     from diffsea.identification.fit import estimate, estimate_surely
@@ -65,9 +76,9 @@ def deviance(material: Material) -> float:
     vessel = diffsea.read_vessel(path).vessel
     runs = [diffsea.read_recording(file) for file in train]
     free = free_by_default(vessel)
-    problem = make_problem(vessel, runs, free, (EFFECTS[LATE],))
+    problem = make_problem(vessel, runs, free, (EFFECTS[effect],))
     rough = estimate(problem, free)
-    return estimate_surely(problem, (*free, LATE), rough.coordinates, rough.noise).deviance
+    return estimate_surely(problem, (*free, effect), rough.coordinates, rough.noise).deviance
 
 
 def readings_that_repeat(run: Run) -> float:
@@ -87,13 +98,20 @@ def main() -> None:
     found = []
     for delay, constant in [(delay, 0.0) for delay in DELAYS] + list(LAGGED):
         told = orders.with_runs(lambda run, d=delay, c=constant: shifted(run, d, c))
-        found.append({"delay": delay, "lag": constant, "deviance": deviance(told)})
+        found.append({"delay": delay, "lag": constant, "deviance": deviance(told, LATE)})
         print(found[-1], flush=True)
-    least = min(one["deviance"] for one in found)
-    for one in found:
-        one["worse"] = round(one.pop("deviance") - least, 1)
     repeated = {name: round(readings_that_repeat(run), 3) for name, run in whole.train.items()}
-    PATH.write_text(json.dumps({"shifts": found, "repeated": repeated}, indent=1) + "\n")
+    kcs, by_move = dataclasses.replace(sets.SETS["kcs"].load(), test={}), []
+    for delay in MOVES:
+        told = kcs.with_runs(lambda run, d=delay: moved(run, d))
+        by_move.append({"delay": delay, "deviance": deviance(told, ROLL)})
+        print("kcs", by_move[-1], flush=True)
+    for several in (found, by_move):
+        least = min(one["deviance"] for one in several)
+        for one in several:
+            one["worse"] = round(one.pop("deviance") - least, 1)
+    record = {"shifts": found, "repeated": repeated, "kcs": by_move}
+    PATH.write_text(json.dumps(record, indent=1) + "\n")
 
 
 if __name__ == "__main__":

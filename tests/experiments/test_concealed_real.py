@@ -132,6 +132,9 @@ def test_what_the_page_says_of_shifted_orders_is_what_was_found():
     shares = [100 * found["repeated"][f"{run}.csv"] for run in ("nlp1", "maneuvering1")]
     told = f"{shares[0]:.1f} % (`nlp1`) and {shares[1]:.1f} % (`maneuvering1`)"
     assert told in " ".join(text.split())
+    kcs = {one["delay"]: one["worse"] for one in found["kcs"]}
+    told = f"twice the log likelihood {kcs[0.2] - kcs[0.0]:.1f} less ([`shifted_orders.json`]"
+    assert told in " ".join(text.split())
 
 
 @real
