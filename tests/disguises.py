@@ -45,7 +45,6 @@ STYLES = {
 }  # fmt: skip
 _ORDER = ("t", "x", "y", "psi", "u", "v", "r", "port", "starboard", "rudder", "propeller")
 # Frames: what the file's x, y, heading, v and r are of north, east, psi, v and r.
-FRAMES = ("ned", "enu", "east first", "port sway", "west")
 
 
 @dataclasses.dataclass(frozen=True)

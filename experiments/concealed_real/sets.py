@@ -107,11 +107,6 @@ def as_orders(runs: Runs) -> Runs:
     }
 
 
-def without_columns(runs: Runs, *columns: str) -> Runs:
-    """The runs as if some channels had not been measured."""
-    return {name: run.drop(columns=[c for c in columns if c in run]) for name, run in runs.items()}
-
-
 def without_rate_limit(document: Document) -> Document:
     """A vessel whose rudder follows orders at once: orders that a rudder has followed already."""
     new = copy.deepcopy(document)

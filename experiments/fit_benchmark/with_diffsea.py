@@ -123,7 +123,7 @@ def _misfits(at: tuple, given: tuple, layout: CoordinateLayout) -> jax.Array:
     def body(x: jax.Array, inputs: tuple) -> tuple:
         row, first = inputs
         x = jnp.where(row.starts, first, x)
-        shown = kalman.expected_measurements(vessel, x, row)
+        shown = output_error.expected_measurements(vessel, x, row)
         misfit = jnp.where(row.known, (row.measured - shown) / SIGMA, 0.0)
         return kalman.propagate(vessel, x, row, dataset.substeps), misfit
 

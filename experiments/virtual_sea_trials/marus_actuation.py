@@ -90,11 +90,6 @@ def errors(truth: dict[str, float], found: dict[str, dict[str, float]]) -> dict[
     return {name: found[name]["value"] / truth[name] - 1 for name in found}
 
 
-def off_by(errors_: dict[str, float]) -> float:
-    """Root mean square of the relative errors."""
-    return math.sqrt(float(np.mean(np.square(list(errors_.values())))))
-
-
 def diagnosed(
     vessel: Vessel, runs: list[Trajectory], test: list[Trajectory], say: Callable[[str], None]
 ) -> Diagnosis:

@@ -6,7 +6,6 @@ order of magnitude.
 """
 
 import dataclasses
-import math
 from typing import Any
 
 from experiments.virtual_sea_trials import marus_published as published
@@ -114,8 +113,3 @@ CANDIDATES: tuple[Effect, ...] = (
 def drag_at(hull: dict[str, float], speed: float) -> float:
     """Thrust (N) that holds a speed (m/s) straight ahead: closed form."""
     return -(hull["X_u"] * speed + hull["X_uu"] * speed * abs(speed))
-
-
-def in_radians(degrees: float) -> float:
-    """Degrees of the paper as radians."""
-    return math.radians(degrees)

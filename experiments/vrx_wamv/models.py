@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from experiments.vrx_wamv.campaign import NOISE, Run
+from experiments.vrx_wamv.campaign import Run
 from experiments.vrx_wamv.plant import CHANNELS, THRUST_PER_SPEED, Plant, speed_for
 
 import numpy as np
@@ -64,12 +64,3 @@ def errors_on(vessel: Vessel, runs: list[Run]) -> dict[str, float]:
         exact = type(recording)(**{**vars(recording), **{c: run.true[c] for c in CHANNELS}})
         found.append(replay_errors(replay(vessel, exact), exact))
     return {key: float(np.sqrt(np.mean([e[key] ** 2 for e in found]))) for key in found[0]}
-
-
-def noise_row() -> str:
-    """The sensors' noise in words."""
-    x, _, psi, u, _, r = NOISE
-    return (
-        f"{x:g} m, {np.degrees(psi):g} deg, {u:g} m/s and {np.degrees(r):g} deg/s "
-        "(standard deviations)"
-    )

@@ -86,10 +86,6 @@ class Plant:
         """Speed (m/s) straight ahead under a total thrust in N, in closed form."""
         return _positive_root(self.surge, thrust)
 
-    def steady_rate(self, moment: float) -> float:
-        """Yaw rate (rad/s) under a pure moment in N m about a centre of gravity at the origin."""
-        return _positive_root(self.yaw, moment)
-
 
 NEW = Plant()
 # The values of the simulator's first release: drag of one power in sway and yaw. Mass

@@ -11,7 +11,6 @@ from diffsea.types import Environment, State
 
 
 STATES = ("x", "y", "psi", "u", "v", "r")
-STILL = Environment()
 
 
 def environment(current=(0.0, 0.0)):

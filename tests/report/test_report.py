@@ -40,6 +40,7 @@ from diffsea.report.predictions import (
     compare,
     horizon_table,
     predict,
+    worst_predicted,
 )
 from diffsea.report.quantities import (
     duration,
@@ -583,6 +584,19 @@ def test_errors_of_runs_count_by_the_predictions_that_they_are_of():
     (row,) = horizon_table(runs)
     assert row["starts"] == 16
     assert row["nominal"] == {"u": pytest.approx(math.sqrt((9 + 7) / 8)), "diverged": 8}
+
+
+def test_runs_of_which_every_prediction_diverges_are_the_worst_and_those_too_short_the_best():
+    measured = recording("straight", usv())
+
+    def one(errors: dict[float, dict[str, float]]) -> ComparedRun:
+        return ComparedRun(measured, {"nominal": Prediction(measured, errors)})
+
+    short, slow = one({}), one({20.0: {"u": 0.2, "starts": 9}})
+    far, gone = (one({20.0: errors}) for errors in (
+        {"position": 5.0, "u": 0.1, "starts": 9}, {"starts": 9, "diverged": 9}
+    ))  # fmt: skip
+    assert worst_predicted([short, far, gone, slow], ["nominal"], 4) == [gone, far, slow, short]
 
 
 def test_a_page_says_where_what_was_found_does_not_improve_the_motion():

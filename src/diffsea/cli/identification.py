@@ -17,7 +17,6 @@ from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
-    from diffsea.identification.study import Study
     from diffsea.parameters import Parameter
     from diffsea.trajectory import Trajectory
     from diffsea.vessel.files import VesselFile
@@ -203,7 +202,9 @@ def _fit_record(found: "FitResult") -> dict[str, Any]:
         "one_sample_in": study.objective.one_sample_in,
     }
     if found.objective == "innovation":
-        record["noise"] = _noise_record(study)
+        from diffsea.identification.filter.noise_record import noise_record
+
+        record["noise"] = noise_record(study.noise, study.recorded.dataset.recorded_channels)
     if found.data.trials:
         residuals = study.objective.residuals(study.estimate.coordinates)
         record["trial_numbers"] = [dataclasses.asdict(one) for one in residuals]
@@ -214,26 +215,6 @@ def _fit_record(found: "FitResult") -> dict[str, Any]:
     if study.sources is not None:
         record["sources"] = study.sources.as_dict()
     return record
-
-
-def _noise_record(study: "Study") -> dict[str, dict[str, float]]:
-    """Scales of process noise and of the sensors that measured anything, in SI units."""
-    import numpy as np
-
-    from diffsea.trajectory import MOTION_CHANNELS
-
-    noise = {name: np.exp(one).tolist() for name, one in dataclasses.asdict(study.noise).items()}
-    measured = study.recorded.dataset.recorded_channels
-    motion: dict[str, dict[str, float]] = {
-        title: dict(zip(MOTION_CHANNELS[3:], noise[name], strict=True))
-        for title, name in (("gust", "gust"), ("lasting_gust", "slow"), ("gust_memory", "memory"))
-    }
-    sensors = zip(MOTION_CHANNELS, noise["sensor"], measured, strict=True)
-    return {
-        **motion,
-        "sensor": {name: scale for name, scale, seen in sensors if seen},
-        "position_walk": {"position": noise["walk"][0]} if measured[:2].any() else {},
-    }
 
 
 def _summary_text(found: "FitResult") -> str:

@@ -226,7 +226,7 @@ def _read_turning(run: Trajectory, orders: Orders, notes: list[str]) -> dict[str
     psi0 = _original_heading(run, start, notes)
     side = _side_of_turn(run, end, psi0)
     found = _turning_numbers(_padded_run(run, end), *map(jnp.asarray, (start, side, psi0)))
-    return {**_as_floats(found), **_read_order(run, orders, side, notes)}
+    return {**_as_floats(found), **_read_order(orders, side, notes)}
 
 
 def _read_zigzag(run: Trajectory, orders: Orders, notes: list[str]) -> dict[str, Any]:
@@ -241,7 +241,7 @@ def _read_zigzag(run: Trajectory, orders: Orders, notes: list[str]) -> dict[str,
     if len(times) > 1:
         reversals = np.interp(times[1:], run.t, run.psi) - psi0
         numbers["switching_heading"] = float(np.mean(np.abs(reversals)))
-    return {**numbers, "switch_times": list(times), **_read_order(run, orders, side, notes)}
+    return {**numbers, "switch_times": list(times), **_read_order(orders, side, notes)}
 
 
 def _read_stopping(run: Trajectory, orders: Orders, notes: list[str]) -> dict[str, Any]:
@@ -321,9 +321,7 @@ def _side_of_turn(run: Trajectory, end: float, psi0: float) -> float:
     return 1.0 if np.interp(end, run.t, run.psi) >= psi0 else -1.0
 
 
-def _read_order(
-    run: Trajectory, orders: Orders, side: float, notes: list[str]
-) -> dict[str, str | float]:
+def _read_order(orders: Orders, side: float, notes: list[str]) -> dict[str, str | float]:
     if orders.angles[0] * side < 0:
         notes.append(f"{orders.source} has the opposite sign: positive turns to port")
     if orders.source.pair:

@@ -201,12 +201,17 @@ def prediction_section(
 def worst_predicted(
     comparisons: Sequence[ComparedRun], models: Sequence[str], count: int
 ) -> list[ComparedRun]:
-    """The run that the last model predicts worst, then those that the first one does."""
+    """The run that the last model predicts worst, then those that the first one does.
+
+    Predictions that all diverge are the worst, a run that is too short for any the best.
+    """
 
     def final_error(one: ComparedRun, model: str) -> float:
         errors = one.predictions[model].errors
         last = errors[max(errors)] if errors else {}
-        return last.get("position", last.get("heading", 0.0))
+        if last and last.get("diverged") == last["starts"]:
+            return math.inf
+        return next((last[name] for name, *_ in _QUANTITIES if name in last), -math.inf)
 
     if not comparisons:
         return []

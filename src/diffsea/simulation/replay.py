@@ -4,7 +4,6 @@ Nothing is corrected on the way: a replay shows how errors of a model grow, over
 run (`replay`, `replay_errors`) and from many starts along it (`horizon_errors`).
 """
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -12,11 +11,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from diffsea.errors import UserError
-from diffsea.kinematics import to_earth, wrap
-from diffsea.metrics.preparation import prepare_recording
+from diffsea.kinematics import wrap
 from diffsea.scales import plausible_motion, time_scale
 from diffsea.series import median_interval
 from diffsea.simulation.actuation import (
@@ -27,10 +25,10 @@ from diffsea.simulation.actuation import (
     true_actuation,
 )
 from diffsea.simulation.integrate import rk4, rk4_looped
+from diffsea.simulation.sensed_motion import has_sample_near, shown_motion, true_motion
 from diffsea.trajectory import MOTION_CHANNELS, Outcome, Samples, Trajectory
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.sensors import Clock, Sensors
 from diffsea.vessel.servo import OrderHistory, Response
 
 
@@ -41,9 +39,6 @@ _FEWEST_STEPS = 256  # steps are padded to this times a power of two, so that ru
 _COARSE_FACTOR = 16  # of sixteen where spare steps are not taken, until they take memory
 _MOST_COARSE = 65_536
 _STARTS_TOGETHER = 32  # likewise predictions ahead, which fill a core's vector units
-_COMPASS_ITERATIONS = 20  # a compass error of half a radian has converged by then
-_EXTRAPOLATION_INTERVALS = 4  # least intervals whose slope goes on beyond the samples
-_NEAREST_SAMPLE = 0.75  # of the median interval: a sample nearer than that supports a value
 
 
 class _Steps(eqx.Module):
@@ -108,19 +103,11 @@ def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = Tru
     finite = all(np.isfinite(values).all() for values in true.values())
     plausible = finite and np.all(plausible_motion(length, true["u"], true["v"], true["r"]))
     now = {c: np.asarray(now)[inputs.rows] for c, now in inputs.now.items()}
-    sensors, t = vessel.sensors, inputs.run.t  # which show that motion late and with errors
-    lags = sensors.lags(t)
-    late = {c: _extrapolate(t - np.asarray(lags[c]), t, true[c]) for c in MOTION_CHANNELS}
-    north, east = to_earth(sensors.lever_x, sensors.lever_y, late["psi"])
-    steps = _sensor_steps(sensors, t)
+    t = inputs.run.t
+    shown = shown_motion(vessel.sensors, t, true)
     return Trajectory(
         t,
-        x=late["x"] + np.asarray(north),
-        y=late["y"] + np.asarray(east),
-        psi=late["psi"] + _compass_error(sensors, late["psi"]) + steps["psi"],
-        u=late["u"],
-        v=late["v"],
-        r=late["r"] + float(sensors.gyro_bias) + steps["r"],
+        *[shown[c] for c in MOTION_CHANNELS],
         commanded=inputs.orders,
         executed=now | inputs.executed,
         extra={},
@@ -205,7 +192,7 @@ def prediction_misses(
     ends = np.where(end >= 0, rows[np.maximum(end, 0)] - rows[begin][:, None], 0)
     reached = _predict_from_each(vessel, inputs, motion if states is None else states, begin, ends)
     length = float(vessel.rigid_body.length)
-    known = {c: _has_sample_near(vessel.sensors, inputs.run, c) for c in MOTION_CHANNELS}
+    known = {c: has_sample_near(vessel.sensors, inputs.run, c) for c in MOTION_CHANNELS}
     found = {}
     for k, horizon in enumerate(horizons):
         if t[0] + horizon > t[-1]:
@@ -246,7 +233,7 @@ def _replay_inputs(
         for channel, values in over_rows(run, orders, executed).items()
     }
     steps, rows = _integration_steps(vessel, run, orders, acting)
-    motion, derived = _true_motion(vessel.sensors, run)
+    motion, derived = true_motion(vessel.sensors, run)
     made_of = run, orders, executed, steps, rows, *_actuate(vessel, steps)
     return _ReplayInputs(*made_of, motion, (*notes, *derived))
 
@@ -384,120 +371,3 @@ def _rms_errors(difference: dict[str, Samples]) -> dict[str, float]:
     }
     known = {name: miss[np.isfinite(miss)] for name, miss in misses.items()}
     return {name: float(np.sqrt(np.mean(m**2))) for name, m in known.items() if m.size}
-
-
-# Between true motion and what sensors show of it
-
-
-def _true_motion(sensors: Sensors, run: Trajectory) -> tuple[dict[str, Samples], tuple[str, ...]]:
-    """Motion in every row as the sensors' errors leave it, and notes on what was derived.
-
-    What was not measured is derived from the rest without its errors. A run in which nothing shows
-    the heading is one straight ahead, to the north.
-    """
-    derived, notes = [c for c in ("psi", "u", "v", "r") if not run.has(c)], ()
-    true = {c: _true_channel(sensors, run, c) for c in MOTION_CHANNELS}
-    if not (run.has("psi") or run.has("r")):
-        true |= {c: np.zeros_like(run.t) for c in ("psi", "r")}
-        notes = ("neither heading nor yaw rate was recorded: straight ahead is assumed",)
-    if derived:
-        known = {c: _where_sampled(sensors, run, c, true[c]) for c in MOTION_CHANNELS}
-        whole, derivations = prepare_recording(dataclasses.replace(run, **known))
-        notes += tuple(f"initial state: {d.note}" for d in derivations if d.kind == "derived")
-        true |= {c: _extrapolate(run.t, whole.t, whole.motion[c]) for c in derived}
-        for c in derived:
-            if not np.isfinite(true[c]).all():
-                raise UserError(
-                    f"{run.name}: {c} was not recorded, nor anything to derive it from, so "
-                    "there is no state to start from; map a velocity (u) or positions (x, y)"
-                )
-    # Positions, and what was derived from them, are those of the antenna.
-    x, y = float(sensors.lever_x), float(sensors.lever_y)
-    north, east = to_earth(x, y, true["psi"])
-    true |= {"x": true["x"] - np.asarray(north), "y": true["y"] - np.asarray(east)}
-    if run.has("x") and run.has("y"):
-        at_antenna = {"u": true["u"] + y * true["r"], "v": true["v"] - x * true["r"]}
-        true |= {c: at_antenna[c] for c in derived if c in at_antenna}
-    return true, notes
-
-
-def _true_channel(sensors: Sensors, run: Trajectory, channel: str) -> Samples:
-    """A channel in every row without its sensor's errors; NaN, positions zero, if not measured.
-
-    Positions stay those of the antenna.
-    """
-    values = np.asarray(run.motion[channel])
-    finite = np.isfinite(values)
-    if not finite.any():
-        return np.zeros_like(run.t) if channel in "xy" else np.full_like(run.t, np.nan)
-    shown = _extrapolate(_times_shown(sensors, run.t, channel), run.t[finite], values[finite])
-    shown = shown - _sensor_steps(sensors, run.t)[channel]
-    if channel != "psi":
-        return shown - float(sensors.gyro_bias) if channel == "r" else shown
-    psi = shown
-    for _ in range(_COMPASS_ITERATIONS):  # the compass error depends on the heading itself
-        psi = shown - _compass_error(sensors, psi)
-    return psi
-
-
-def _where_sampled(sensors: Sensors, run: Trajectory, channel: str, true: Samples) -> Samples:
-    """A channel's true values in the row nearest to each of its samples, NaN in the others."""
-    if not run.has(channel):
-        return np.full_like(run.t, np.nan) if channel in "xy" else true
-    times = run.t[np.isfinite(run.motion[channel])]
-    of = times - np.asarray(sensors.lags(times)[channel])
-    after = np.searchsorted(run.t, of).clip(1, run.t.size - 1)
-    rows = np.where(of - run.t[after - 1] < run.t[after] - of, after - 1, after)
-    found = np.full_like(run.t, np.nan)
-    found[rows] = true[rows]
-    return found
-
-
-def _compass_error(sensors: Sensors, psi: Samples) -> Samples:
-    """Shown minus true heading (rad)."""
-    turned = psi + float(sensors.heading_offset)
-    iron = float(sensors.hard_iron_cos) * np.cos(turned)
-    return turned - psi + iron + float(sensors.hard_iron_sin) * np.sin(turned)
-
-
-def _sensor_steps(sensors: Sensors, t: Samples) -> dict[str, Samples]:
-    """What each channel shows too much at the times since instants of the run."""
-    found = np.asarray(sensors.steps(t, np.diff(t, prepend=2 * t[0] - t[1])))
-    return {channel: found[:, k] for k, channel in enumerate(MOTION_CHANNELS)}
-
-
-def _times_shown(sensors: Sensors, t: Samples, channel: str) -> Samples:
-    """When (s) a channel shows what was true at the times: `shown - lag(shown) = t`."""
-    clock = sensors.clock or Clock()
-    return (t + float(sensors.lags(0.0)[channel])) / (1 - float(clock.rate))
-
-
-def _extrapolate(
-    wanted: Float[np.ndarray, "wanted"], times: Samples, values: Samples
-) -> Float[np.ndarray, "wanted"]:
-    """Values between samples; beyond the first and the last, on with the slope there.
-
-    A clock that is off shows the beginning or the end of a run outside its recording.
-    """
-    found = np.interp(wanted, times, values)
-    if len(times) < 2:
-        return found
-    least = _EXTRAPOLATION_INTERVALS * median_interval(times)
-    for edge, beyond in ((0, wanted < times[0]), (-1, wanted > times[-1])):
-        if beyond.any():
-            span = max(least, float(np.abs(wanted[beyond] - times[edge]).max()))
-            near = np.abs(times - times[edge]) <= span
-            slope = np.polyfit(times[near] - times[edge], values[near], 1)[0]
-            found[beyond] = values[edge] + slope * (wanted[beyond] - times[edge])
-    return found
-
-
-def _has_sample_near(sensors: Sensors, run: Trajectory, channel: str) -> Bool[np.ndarray, "time"]:
-    """Rows of the true motion that have a sample of the channel near them."""
-    sampled = run.t[np.isfinite(run.motion[channel])]
-    if sampled.size < 2:
-        return np.zeros(run.t.shape, bool)
-    wanted = _times_shown(sensors, run.t, channel)
-    after = np.searchsorted(sampled, wanted).clip(1, sampled.size - 1)
-    distance = np.minimum(np.abs(wanted - sampled[after - 1]), np.abs(wanted - sampled[after]))
-    return distance <= _NEAREST_SAMPLE * median_interval(sampled)

@@ -8,13 +8,13 @@ import pathlib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from diffsea.errors import UserError
 from diffsea.identification.data.dataset import make_dataset
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.noise_fit import noise_prior
+from diffsea.identification.filter.noise_record import noise_of_record
 from diffsea.identification.online.closed_spans import ClosedSpan, closed_spans
 from diffsea.identification.online.estimator import (
     DRIFT,
@@ -33,7 +33,7 @@ from diffsea.progress import Progress, counted, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.report.pages.online import online_report
 from diffsea.simulation.order_units import require_order_units
-from diffsea.trajectory import MOTION_CHANNELS, Trajectory
+from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import VesselFile
 from diffsea.workflows.audits import Recording, Tabulated, as_recording, as_recordings
@@ -222,19 +222,8 @@ def noise_of_fit(path: str | pathlib.Path, guess: Noise) -> Noise:
         UserError: the file cannot be read, or has no noise.
     """
     try:
-        scales = json.loads(pathlib.Path(path).read_text(encoding="utf-8"))["noise"]
-        scales = {"position_walk": {}} | scales
-        parts = [
-            [scales[key].get(c, math.exp(float(old))) for c, old in zip(names, was, strict=True)]
-            for key, names, was in (
-                ("gust", MOTION_CHANNELS[3:], guess.gust),
-                ("lasting_gust", MOTION_CHANNELS[3:], guess.slow),
-                ("gust_memory", MOTION_CHANNELS[3:], guess.memory),
-                ("sensor", MOTION_CHANNELS, guess.sensor),
-                ("position_walk", ("position",), guess.walk),
-            )
-        ]
-        return Noise(*(jnp.log(jnp.asarray(part, float)) for part in parts))
+        record = json.loads(pathlib.Path(path).read_text(encoding="utf-8"))["noise"]
+        return noise_of_record(record, guess)
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError):

@@ -205,16 +205,6 @@ def _part_of(response: Response, start: float, share: float) -> Response:
     return Response(at(start), at(start + share / 2), at(start + share), response.final)
 
 
-def expected_measurements(
-    vessel: Vessel, x: Float[Array, "6"], row: FilterRow
-) -> Float[Array, "6"]:
-    """What the sensors should show in a state, delayed channels by a Taylor polynomial."""
-    rate = lambda at: vessel.rate(at, row.actuation, row.flow, row.run_time)
-    state = jax.tree.map(jnp.asarray, State(*x))
-    first, second = jax.jvp(rate, (state,), (rate(state),))
-    return vessel.sensors.measure(state, first, second)
-
-
 def measurement_jacobian(
     vessel: Vessel,
     x: Float[Array, "6"],

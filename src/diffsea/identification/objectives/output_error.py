@@ -34,7 +34,7 @@ from diffsea.identification.estimates import (
     posterior_estimate,
 )
 from diffsea.identification.filter.kalman import (
-    expected_measurements,
+    FilterRow,
     filter_rows,
     first_variance,
     innovation_of,
@@ -47,6 +47,7 @@ from diffsea.identification.problem import Coordinates, FreeIndex, Names, Proble
 from diffsea.progress import PartialProgress, Progress, no_progress
 from diffsea.scales import time_scale
 from diffsea.statistics import autocorrelation, long_run_covariance, robust_scale
+from diffsea.types import State
 from diffsea.vessel.base import Vessel
 
 
@@ -128,6 +129,16 @@ def simulate_windows(
     rows = filter_rows(vessel, flows, dataset, as_stamped), windows.begins, states[windows.number]
     misfit, end = jax.lax.scan(body, jnp.zeros(6), rows)[1]
     return Shot(jnp.where(jnp.isfinite(misfit), misfit, DIVERGED), end[windows.joins])
+
+
+def expected_measurements(
+    vessel: Vessel, x: Float[Array, "6"], row: FilterRow
+) -> Float[Array, "6"]:
+    """What the sensors should show in a state, delayed channels by a Taylor polynomial."""
+    rate = lambda at: vessel.rate(at, row.actuation, row.flow, row.run_time)
+    state = jax.tree.map(jnp.asarray, State(*x))
+    first, second = jax.jvp(rate, (state,), (rate(state),))
+    return vessel.sensors.measure(state, first, second)
 
 
 shoot = eqx.filter_jit(simulate_windows)

@@ -1,0 +1,148 @@
+"""Between true motion and what sensors show of it: late, with errors, where they are mounted."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from diffsea.errors import UserError
+from diffsea.kinematics import to_earth
+from diffsea.metrics.preparation import prepare_recording
+from diffsea.series import median_interval
+from diffsea.trajectory import MOTION_CHANNELS, Samples, Trajectory
+from diffsea.vessel.sensors import Clock, Sensors
+
+
+_COMPASS_ITERATIONS = 20  # a compass error of half a radian has converged by then
+_EXTRAPOLATION_INTERVALS = 4  # least intervals whose slope goes on beyond the samples
+_NEAREST_SAMPLE = 0.75  # of the median interval: a sample nearer than that supports a value
+
+
+def shown_motion(sensors: Sensors, t: Samples, true: dict[str, Samples]) -> dict[str, Samples]:
+    """What sensors without noise show at the times of a motion, by channel."""
+    lags = sensors.lags(t)
+    late = {c: _extrapolate(t - np.asarray(lags[c]), t, true[c]) for c in MOTION_CHANNELS}
+    north, east = to_earth(sensors.lever_x, sensors.lever_y, late["psi"])
+    steps = _sensor_steps(sensors, t)
+    return {
+        "x": late["x"] + np.asarray(north),
+        "y": late["y"] + np.asarray(east),
+        "psi": late["psi"] + _compass_error(sensors, late["psi"]) + steps["psi"],
+        "u": late["u"],
+        "v": late["v"],
+        "r": late["r"] + float(sensors.gyro_bias) + steps["r"],
+    }
+
+
+def true_motion(sensors: Sensors, run: Trajectory) -> tuple[dict[str, Samples], tuple[str, ...]]:
+    """Motion in every row as the sensors' errors leave it, and notes on what was derived.
+
+    What was not measured is derived from the rest without its errors. A run in which nothing shows
+    the heading is one straight ahead, to the north.
+    """
+    derived, notes = [c for c in ("psi", "u", "v", "r") if not run.has(c)], ()
+    true = {c: _true_channel(sensors, run, c) for c in MOTION_CHANNELS}
+    if not (run.has("psi") or run.has("r")):
+        true |= {c: np.zeros_like(run.t) for c in ("psi", "r")}
+        notes = ("neither heading nor yaw rate was recorded: straight ahead is assumed",)
+    if derived:
+        known = {c: _where_sampled(sensors, run, c, true[c]) for c in MOTION_CHANNELS}
+        whole, derivations = prepare_recording(dataclasses.replace(run, **known))
+        notes += tuple(f"initial state: {d.note}" for d in derivations if d.kind == "derived")
+        true |= {c: _extrapolate(run.t, whole.t, whole.motion[c]) for c in derived}
+        for c in derived:
+            if not np.isfinite(true[c]).all():
+                raise UserError(
+                    f"{run.name}: {c} was not recorded, nor anything to derive it from, so "
+                    "there is no state to start from; map a velocity (u) or positions (x, y)"
+                )
+    # Positions, and what was derived from them, are those of the antenna.
+    x, y = float(sensors.lever_x), float(sensors.lever_y)
+    north, east = to_earth(x, y, true["psi"])
+    true |= {"x": true["x"] - np.asarray(north), "y": true["y"] - np.asarray(east)}
+    if run.has("x") and run.has("y"):
+        at_antenna = {"u": true["u"] + y * true["r"], "v": true["v"] - x * true["r"]}
+        true |= {c: at_antenna[c] for c in derived if c in at_antenna}
+    return true, notes
+
+
+def _true_channel(sensors: Sensors, run: Trajectory, channel: str) -> Samples:
+    """A channel in every row without its sensor's errors; NaN, positions zero, if not measured.
+
+    Positions stay those of the antenna.
+    """
+    values = np.asarray(run.motion[channel])
+    finite = np.isfinite(values)
+    if not finite.any():
+        return np.zeros_like(run.t) if channel in "xy" else np.full_like(run.t, np.nan)
+    shown = _extrapolate(_times_shown(sensors, run.t, channel), run.t[finite], values[finite])
+    shown = shown - _sensor_steps(sensors, run.t)[channel]
+    if channel != "psi":
+        return shown - float(sensors.gyro_bias) if channel == "r" else shown
+    psi = shown
+    for _ in range(_COMPASS_ITERATIONS):  # the compass error depends on the heading itself
+        psi = shown - _compass_error(sensors, psi)
+    return psi
+
+
+def _where_sampled(sensors: Sensors, run: Trajectory, channel: str, true: Samples) -> Samples:
+    """A channel's true values in the row nearest to each of its samples, NaN in the others."""
+    if not run.has(channel):
+        return np.full_like(run.t, np.nan) if channel in "xy" else true
+    times = run.t[np.isfinite(run.motion[channel])]
+    of = times - np.asarray(sensors.lags(times)[channel])
+    after = np.searchsorted(run.t, of).clip(1, run.t.size - 1)
+    rows = np.where(of - run.t[after - 1] < run.t[after] - of, after - 1, after)
+    found = np.full_like(run.t, np.nan)
+    found[rows] = true[rows]
+    return found
+
+
+def _compass_error(sensors: Sensors, psi: Samples) -> Samples:
+    """Shown minus true heading (rad)."""
+    turned = psi + float(sensors.heading_offset)
+    iron = float(sensors.hard_iron_cos) * np.cos(turned)
+    return turned - psi + iron + float(sensors.hard_iron_sin) * np.sin(turned)
+
+
+def _sensor_steps(sensors: Sensors, t: Samples) -> dict[str, Samples]:
+    """What each channel shows too much at the times since instants of the run."""
+    found = np.asarray(sensors.steps(t, np.diff(t, prepend=2 * t[0] - t[1])))
+    return {channel: found[:, k] for k, channel in enumerate(MOTION_CHANNELS)}
+
+
+def _times_shown(sensors: Sensors, t: Samples, channel: str) -> Samples:
+    """When (s) a channel shows what was true at the times: `shown - lag(shown) = t`."""
+    clock = sensors.clock or Clock()
+    return (t + float(sensors.lags(0.0)[channel])) / (1 - float(clock.rate))
+
+
+def _extrapolate(
+    wanted: Float[np.ndarray, "wanted"], times: Samples, values: Samples
+) -> Float[np.ndarray, "wanted"]:
+    """Values between samples; beyond the first and the last, on with the slope there.
+
+    A clock that is off shows the beginning or the end of a run outside its recording.
+    """
+    found = np.interp(wanted, times, values)
+    if len(times) < 2:
+        return found
+    least = _EXTRAPOLATION_INTERVALS * median_interval(times)
+    for edge, beyond in ((0, wanted < times[0]), (-1, wanted > times[-1])):
+        if beyond.any():
+            span = max(least, float(np.abs(wanted[beyond] - times[edge]).max()))
+            near = np.abs(times - times[edge]) <= span
+            slope = np.polyfit(times[near] - times[edge], values[near], 1)[0]
+            found[beyond] = values[edge] + slope * (wanted[beyond] - times[edge])
+    return found
+
+
+def has_sample_near(sensors: Sensors, run: Trajectory, channel: str) -> Bool[np.ndarray, "time"]:
+    """Rows of the true motion that have a sample of the channel near them."""
+    sampled = run.t[np.isfinite(run.motion[channel])]
+    if sampled.size < 2:
+        return np.zeros(run.t.shape, bool)
+    wanted = _times_shown(sensors, run.t, channel)
+    after = np.searchsorted(sampled, wanted).clip(1, sampled.size - 1)
+    distance = np.minimum(np.abs(wanted - sampled[after - 1]), np.abs(wanted - sampled[after]))
+    return distance <= _NEAREST_SAMPLE * median_interval(sampled)
