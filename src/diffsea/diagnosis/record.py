@@ -4,6 +4,7 @@ The contract of diagnosis.json is written here and nowhere else.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ STATUSES = ("accepted", "rival", "rejected", "screened out")  # of candidates, a
 def summary(
     diagnosis: Diagnosis,
     audit: list[Record],
-    horizons: list[Record] | None = None,
+    horizons: Sequence[Record] = (),
     next_experiment: Record | None = None,
     source: Record | None = None,
 ) -> Record:
@@ -69,6 +70,7 @@ def summary(
         "kind": str(data.kind),
         "how": HOLDING_OUT[data.kind],
         "recordings": [run.name for run in data.held_out],
+        "horizons": list(horizons),
     }
     null: Record = {
         "draws": len(screening.null.smallest),
@@ -98,7 +100,7 @@ def summary(
         "straight_runs": data.train.dataset.straight_runs,
         "insufficient": [str(one) for one in diagnosis.shortfalls],
         "parameters": [one.as_dict() for one in fitted],
-        "held_out": held_out | ({} if horizons is None else {"horizons": horizons}),
+        "held_out": held_out,
         "screening": [
             {
                 "name": name,
@@ -284,9 +286,9 @@ def _misfits(diagnosis: Diagnosis, fitted: Estimate) -> dict[str, float]:
     }
 
 
-def _free(horizons: list[Record] | None, model: str) -> Record:
+def _free(horizons: Sequence[Record], model: str) -> Record:
     """The errors of a model's free predictions, where there are any."""
-    found = free_errors(horizons or [], model)
+    found = free_errors(horizons, model)
     return {"free": found} if found else {}
 
 

@@ -86,9 +86,9 @@ def diagnosis_report(
         models = {"diagnosed": "predicted"}
     used = [(run, "fitted") for run in recordings]
     used += [] if by_time else [(run, "held out") for run in held_out]
-    audit, null = summary.get("audit"), summary.get("null") or {}
+    null = summary["null"]
     found = []
-    for finding in findings.heaviest_first(audit or []):
+    for finding in findings.heaviest_first(summary["audit"]):
         size = ""
         if is_known(finding.get("value")):
             size = with_error(finding["value"], finding.get("std"), finding.get("unit", ""))
@@ -98,10 +98,9 @@ def diagnosis_report(
         what = words.as_words(finding["kind"]), Verbatim(finding["recording"])
         found.append([*what, size, findings.cost_words(finding.get("cost")), texts])
     columns = ["fault", "recording", "size", "cost in a minute", "what was seen"]
-    method = {}
-    if chance := {key: null[key] for key in ("draws", "alpha", "threshold") if key in null}:
-        chance["threshold"] = significant(chance["threshold"], 2)
-        method["significance from simulated data without effects"] = chance
+    chance = {key: null[key] for key in ("draws", "alpha")}
+    chance["threshold"] = significant(null["threshold"], 2)
+    method = {"significance from simulated data without effects": chance}
     if "bootstrap" in null:
         method["the same, every simulated data set fitted anew"] = null["bootstrap"]
     predictions = prediction_section(runs, models, most, None, flows(summary))
@@ -121,8 +120,8 @@ def diagnosis_report(
         incomplete=caveats.incomplete_sentence(summary),
         sampling=" ".join(
             (
-                caveats.sampling_sentence(summary.get("one_sample_in")),
-                caveats.straight_sentence(summary.get("straight_runs", 0)),
+                caveats.sampling_sentence(summary["one_sample_in"]),
+                caveats.straight_sentence(summary["straight_runs"]),
             )
         ).strip(),
         location=location_section(summary, recordings, most),
@@ -133,8 +132,8 @@ def diagnosis_report(
         predictions=predictions,
         next=next_experiment_section(summary),
         unseen=unseen_table(summary),
-        parameters=parameter_table(summary.get("parameters", [])),
-        faults=None if audit is None else len(audit),
+        parameters=parameter_table(summary["parameters"]),
+        faults=len(found),
         fault_table=Table(columns, found, f"Findings of the audit. {findings.WEIGHED}"),
         provenance=provenance(source | method, used),
     )
@@ -254,8 +253,8 @@ def interval_of(entry: Record) -> str:
     return "not known" if bounds is None else interval(bounds, entry.get("unit", ""))
 
 
-def candidate_ranking(summary: Record) -> Ranking | None:
-    """Every candidate, as bars and as a table; None where they were not ranked.
+def candidate_ranking(summary: Record) -> Ranking:
+    """Every candidate, as bars and as a table.
 
     First comes what became of a candidate, accepted before rival before rejected, then its odds.
 
@@ -269,10 +268,8 @@ def candidate_ranking(summary: Record) -> Ranking | None:
         place = places.get(one.get("status", ""), len(places))
         return place, -size if is_known(size) else math.inf
 
-    candidates = [_as_found(one, summary) for one in summary.get("candidates") or []]
+    candidates = [_as_found(one, summary) for one in summary["candidates"]]
     ranked = sorted(candidates, key=order)
-    if not ranked:
-        return None
     weighed = [
         (candidate_label(one), one.get("status", ""), float(one["log10_odds"]))
         for one in ranked
@@ -355,10 +352,10 @@ def next_experiment_section(summary: Record) -> NextExperiment:
         sentences.append(f"{words.capital(words.as_words(effect['name']))}: {others}.")
     candidates = [
         f"{candidate_label(one)}: {one.get('reason') or 'a rival'}"
-        for one in summary.get("candidates") or []
+        for one in summary["candidates"]
         if one.get("status") == "rival"
     ]
-    proposal = summary.get("next_experiment")
+    proposal = summary["next_experiment"]
     if not proposal:
         return NextExperiment(sentences, candidates, "", None)
     advice = f"There is no manoeuvre to record next: {proposal['why']}."
@@ -375,14 +372,12 @@ def next_experiment_section(summary: Record) -> NextExperiment:
     return NextExperiment(sentences, candidates, advice, plot)
 
 
-def unseen_table(summary: Record) -> Table | None:
-    """The smallest effect of each candidate that these data could have shown; None: not computed.
+def unseen_table(summary: Record) -> Table:
+    """The smallest effect of each candidate that these data could have shown.
 
     What is invisible at any size comes first: it is easily taken for absent.
     """
-    limits = summary.get("detection_limits")
-    if limits is None:
-        return None
+    limits = summary["detection_limits"]
     plain = Counter(words.as_words(one["name"]) + words.acted_on(one) for one in limits)
     rows = []
     for one in sorted(limits, key=lambda one: is_known(one.get("limit"))):

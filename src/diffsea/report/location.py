@@ -24,7 +24,6 @@ DEGREES = tuple(FORCES)
 REACH = 3.0  # colours end at so many thresholds: stronger is beyond doubt anyway
 OPEN_RUNS = 6  # with the strongest windows; the others are folded away
 LISTED_PLACES = 8  # rows of the table
-DEFAULT_THRESHOLD = 3.0  # standard errors, where a summary does not say
 HEADING_ROOM = 0.13  # of a figure's height, for the title above each panel of a map
 TITLE = {"font": {"size": 12}, "x": 0, "y": 1, "pad": {"t": 6}}
 NOMINAL_MODEL, DIAGNOSED_MODEL = "nominal model", "diagnosed model"
@@ -46,7 +45,6 @@ class LocationSection:
     """What the section *where* shows.
 
     Attributes:
-        tested: whether any map was computed.
         threshold: of |z|, as text, beyond which it is significant; colours end at `reach`.
         by_regime: a map for each model that has one.
         colourings: labels of what tracks can be coloured by.
@@ -56,7 +54,6 @@ class LocationSection:
             `unknown` for what the data cannot tell.
     """
 
-    tested: bool
     threshold: str
     reach: str
     by_regime: Sequence[Plot]
@@ -79,18 +76,16 @@ def location_section(
         recordings: those that were fitted.
         most: points of a track.
     """
-    after = summary.get("map_after") if named_effects(summary) else None
-    both = {NOMINAL_MODEL: summary.get("map"), DIAGNOSED_MODEL: after}
-    maps = {title: one for title, one in both.items() if one}
-    given = [one["threshold"] for one in maps.values() if is_known(one.get("threshold"))]
-    threshold = float(given[0]) if given else DEFAULT_THRESHOLD
+    maps = {NOMINAL_MODEL: summary["map"]}
+    maps |= {DIAGNOSED_MODEL: summary["map_after"]} if named_effects(summary) else {}
+    threshold = float(summary["map"]["threshold"])
     by_regime = []
     for title, one in maps.items():
-        if cells := one.get("regime"):
+        if cells := one["regime"]:
             height = 60 + 24 * len({cell["regime"] for cell in cells})
             text = _alternative(f"By regime, {title}", cells, threshold)
             by_regime.append(Plot(regime_map(title, cells, threshold), text, height))
-    windows: dict[str, Cells] = {title: one.get("time", []) for title, one in maps.items()}
+    windows: dict[str, Cells] = {title: one["time"] for title, one in maps.items()}
     windows = windows if any(windows.values()) else {}
     colourings = _colourings(summary, windows, recordings, most) if windows else []
     strength, drawn = [], []
@@ -101,7 +96,6 @@ def location_section(
         drawn.append(_run_plots(run, own, threshold, colourings, f"recording-{number}", most))
     open_runs = sorted(range(len(drawn)), key=lambda k: -strength[k])[:OPEN_RUNS]
     return LocationSection(
-        bool(maps),
         significant(threshold, 2),
         significant(REACH * threshold, 2),
         by_regime,
@@ -149,7 +143,7 @@ def _run_plots(
 
 def _strongest_places(summary: Record) -> Table:
     rows = []
-    for cell in summary.get("where", [])[:LISTED_PLACES]:
+    for cell in summary["where"][:LISTED_PLACES]:
         name, when = Verbatim(cell["recording"]), f"{cell['start']:.0f} to {cell['end']:.0f} s"
         if cell["recording"] == "all":
             name, when = Verbatim("all runs"), "whole run"
@@ -272,7 +266,7 @@ def _colourings(
 ) -> list[Colouring]:
     """What tracks may be coloured by, that with the largest z-score first."""
     located = [run for run in recordings if run.has("x") and run.has("y")]
-    latent = summary.get("residual_force") or {}
+    latent = summary["residual_force"]
     out: list[Colouring] = []
     for title, cells in windows.items():
         if title == DIAGNOSED_MODEL and latent:

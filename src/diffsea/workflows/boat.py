@@ -130,7 +130,7 @@ def _fitted(job: dict[str, Any], rows: list[dict[str, Any]], runs: list[Any]) ->
         seconds=seconds,
     ).record
     told = {key: diagnosed[key] for key in ("verdict", "effects", "fit", "parameters")}
-    return told | {"complete": diagnosed.get("complete", True)}
+    return told | {"complete": diagnosed["complete"]}
 
 
 def moved_parameters(result: dict[str, Any]) -> dict[str, float]:

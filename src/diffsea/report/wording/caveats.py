@@ -17,10 +17,10 @@ def incomplete_sentence(summary: Record) -> str:
     """That the search ended early, by the time or as a quick look, or nothing."""
     if not_done := summary.get("not_done"):
         return quick_sentence(not_done)
-    if summary.get("complete", True):
+    if summary["complete"]:
         return ""
     told = "The time was over before everything had been asked: more may be missing."
-    left_out = summary.get("left_out", [])
+    left_out = summary["left_out"]
     return f"{told} Left out: {enumeration(left_out)}." if left_out else told
 
 

@@ -18,7 +18,7 @@ def misread_sentences(summary: Record) -> list[str]:
     Each once, with the recordings that show it.
     """
     told = []
-    for group in alike_findings(filter(is_misread, summary.get("audit") or []), "repair"):
+    for group in alike_findings(filter(is_misread, summary["audit"]), "repair"):
         first, repair = group[0], group[0].get("repair")
         where = first["recording"] if len(group) == 1 else count_recordings(len(group))
         told.append(f"{first['message']} (in {where}){f'. Repair: {repair}' if repair else ''}.")

@@ -39,7 +39,7 @@ LISTED_FINDINGS = 5  # of the audit
 def verdict_text(summary: Record) -> str:
     """The content of diagnosis.json in short lines."""
     named = named_effects(summary)
-    rows = summary.get("held_out", {}).get("horizons", [])
+    rows = summary["held_out"]["horizons"]
     others = [one for one in heaviest_first(summary["audit"]) if not is_misread(one)]
     audit = [finding_line(group) for group in alike_findings(others, "unit")[:LISTED_FINDINGS]]
     what = []
@@ -50,7 +50,7 @@ def verdict_text(summary: Record) -> str:
         sure = f"; odds {odds_or_bound(size)}" if is_known(size) else ""
         sizes = ", ".join(parameter_lines(effect)) + together_note(effect)
         what.append(f"{as_words(effect['name'])}{acts_on}{place}: {sizes}{sure}")
-    following, proposal = "", summary.get("next_experiment")
+    following, proposal = "", summary["next_experiment"]
     if proposal:
         manoeuvre, seconds = "no manoeuvre", proposal.get("seconds")
         if is_known(seconds):
@@ -71,8 +71,8 @@ def verdict_text(summary: Record) -> str:
         ],
         "data": [
             *audit,
-            sampling_sentence(summary.get("one_sample_in")),
-            straight_sentence(summary.get("straight_runs", 0)),
+            sampling_sentence(summary["one_sample_in"]),
+            straight_sentence(summary["straight_runs"]),
         ],
         "next": [following],
     }

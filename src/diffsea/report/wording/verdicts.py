@@ -62,10 +62,10 @@ def verdict_sentence(summary: Record) -> str:
 
 def prediction_sentence(summary: Record) -> str:
     """What the diagnosis does to predictions of held-out runs, in one sentence."""
-    held_out, found = summary.get("held_out", {}), named_effects(summary)
+    held_out, found = summary["held_out"], named_effects(summary)
     parts = held_out.get("kind") == HeldOut.LAST_PARTS
     on = f"On {'the last part of each run,' if parts else 'runs'} kept back as a test"
-    row = headline_horizon(held_out.get("horizons", []), MODELS)
+    row = headline_horizon(held_out["horizons"], MODELS)
     if row is None:  # no run is long enough: the error of the next sample
         old, new = (summary["fit"][model].get("test") for model in MODELS)
         if not is_known(old) or not is_known(new):
@@ -96,7 +96,7 @@ def unimproved_sentence(summary: Record) -> str:
     if not named_effects(summary):
         return ""
     far, worse = [], []
-    for row in summary.get("held_out", {}).get("horizons", []):
+    for row in summary["held_out"]["horizons"]:
         ahead = f"{row['seconds']:g} s"
         for number, quantity in enumerate(known_quantities(row, MODELS)):
             old, new = (row[model][quantity] for model in MODELS)
@@ -118,7 +118,7 @@ def unimproved_sentence(summary: Record) -> str:
 
 def remainder_sentence(summary: Record) -> str:
     """What the final model still does not explain, in one sentence."""
-    p = summary.get("remainder_p_value")
+    p = summary["remainder_p_value"]
     if not is_known(p):
         return ""
     if p < SURE_REMAINDER:
@@ -134,7 +134,7 @@ def remainder_sentence(summary: Record) -> str:
 
 def _share_left(summary: Record) -> str:
     """How little of the error is left, where it is."""
-    row = headline_horizon(summary.get("held_out", {}).get("horizons", []), MODELS)
+    row = headline_horizon(summary["held_out"]["horizons"], MODELS)
     if row is None or not named_effects(summary):
         return ""
     quantity = known_quantities(row, MODELS)[0]
@@ -147,7 +147,7 @@ def _share_left(summary: Record) -> str:
 
 def single_step_sentence(summary: Record) -> str:
     """Names that were refused because free predictions of the motion get worse with them."""
-    refused = [row for row in summary.get("candidates", []) if row.get("predicts_motion") is False]
+    refused = [row for row in summary["candidates"] if row.get("predicts_motion") is False]
     names = list(dict.fromkeys(as_words(row["name"]) for row in refused))
     if not names:
         return ""
