@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from tests.paths import ORACLE
 
-from diffsea import UserError, diagnose, fit, predict
+from diffsea import UserError, VesselFile, diagnose, fit, predict
 from diffsea.cli import main
 from diffsea.recordings import KINDS
 from diffsea.simulation.order_units import require_order_units, unit_findings
@@ -137,3 +137,16 @@ def test_nothing_is_calculated_with_orders_in_another_unit(work, tmp_path, capsy
     said = capsys.readouterr().err
     assert status == 1 and "pulse widths in us" in said and "Traceback" not in said
     assert not (tmp_path / "out" / "fit.json").exists()
+
+
+def test_predictions_and_fits_tell_of_orders_that_act_as_a_limit():
+    boat = vessel(**THRUSTERS["N"])
+    beyond = run(np.where(np.arange(200) % 4 == 0, 400.0, 100.0))
+    told = "25 % of it lies beyond and acts as the limit"
+    assert told in " ".join(predict(boat, beyond).predicted.provenance)
+    assert told not in " ".join(predict(boat, run(ORDERS["N"])).predicted.provenance)
+    said: list[str] = []
+    document = {"hull": HULL, "thruster": [{"name": "part", "x": -2.0, **THRUSTERS["N"]}]}
+    file = VesselFile(boat, document, "boat.toml")
+    fit(file, [beyond], free=["X_u"], profiles=(), progress=said.append)
+    assert [line for line in said if told in line and line.startswith("run.csv: ")]

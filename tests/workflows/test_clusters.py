@@ -294,5 +294,5 @@ def test_what_is_under_way_is_given_up(ends, harbour, tmp_path):
                 assert count_tasks(client) == 1
                 asking.send_signal(signal.SIGINT)
                 assert asking.wait(20) == 130 and count_tasks(client) == 0
-            assert processes.said(asking).endswith("nothing was written\n")
+            assert processes.said(asking).endswith("the same command goes on from there\n")
     assert not (tmp_path / "out").exists()

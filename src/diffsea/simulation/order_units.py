@@ -55,6 +55,12 @@ def require_order_units(vessel: Vessel, recordings: Iterable[Trajectory]) -> Non
             raise UserError(f"{run.name}: {first.message}{likewise}; {first.repair}")
 
 
+def order_doubts(vessel: Vessel, recording: Trajectory) -> list[str]:
+    """What is doubtful about a recording's actuation, in words with what to do."""
+    found = [one for one in unit_findings(vessel, recording) if one.doubt]
+    return [f"{one.message}; {one.repair}" for one in found]
+
+
 def _finding(channel: str, values: Samples, servo: Servo, unit: str) -> Finding | None:
     """What is wrong with the unit of a column's values, if anything is."""
     neutral = 0.0 if servo.neutral is None else float(servo.neutral)

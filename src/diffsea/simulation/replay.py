@@ -25,6 +25,7 @@ from diffsea.simulation.actuation import (
     true_actuation,
 )
 from diffsea.simulation.integrate import rk4, rk4_looped
+from diffsea.simulation.order_units import order_doubts
 from diffsea.simulation.sensed_motion import has_sample_near, shown_motion, true_motion
 from diffsea.trajectory import MOTION_CHANNELS, Outcome, Samples, Trajectory
 from diffsea.types import Environment, Scalar, State
@@ -223,7 +224,8 @@ def _replay_inputs(
     orders, executed = recorded_actuation(vessel, run)
     executed = executed if measured_actuation else {}
     commanded = [c for c in vessel.channels if c not in executed]
-    notes = [f"executed {', '.join(executed)} as measured"] if executed else []
+    notes = order_doubts(vessel, run)
+    notes += [f"executed {', '.join(executed)} as measured"] if executed else []
     if commanded:
         notes.append(f"executed {', '.join(commanded)} reconstructed from the orders")
     acting = {

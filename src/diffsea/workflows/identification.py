@@ -32,7 +32,7 @@ from diffsea.identification.study import (
 )
 from diffsea.identification.sufficiency import FitVerdict
 from diffsea.parameters import Parameter
-from diffsea.progress import Progress, counted, no_progress
+from diffsea.progress import Progress, Remark, counted, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.recordings.auditing.actuators import stale_feedback
 from diffsea.report.diagnosis import diagnosis_report
@@ -40,7 +40,7 @@ from diffsea.report.fit import compare_fit
 from diffsea.report.predictions import ComparedRun, compare, horizon_table
 from diffsea.report.wording.terminal import verdict_text
 from diffsea.simulation.actuation import how_actuated, with_common_feedback
-from diffsea.simulation.order_units import require_order_units, unit_findings
+from diffsea.simulation.order_units import order_doubts, require_order_units, unit_findings
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import (
@@ -228,6 +228,9 @@ def fit(
         file = as_vessel_file(vessel)
         given = fitted_data(file.vessel, data, test, mapping, keep_idle, progress)
         require_order_units(file.vessel, [*given.recordings, *given.test])
+        for run in (*given.recordings, *given.test):
+            for doubt in order_doubts(file.vessel, run):
+                progress(Remark(f"{run.name}: {doubt}"))
         not_done: tuple[str, ...] = ()
         if quick:
             whole = [*given.recordings, *given.test]
