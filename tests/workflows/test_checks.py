@@ -551,3 +551,23 @@ def test_a_rudder_that_does_less_one_way_is_told_the_right_way(to_starboard):
     assert "angles (deg)" in page and "orders (%)" in page
     told = WAYS[to_starboard]
     assert any(one.startswith("It turns ") and told in one for one in sentences), sentences
+
+
+def test_speed_that_is_still_lost_from_a_turn_is_none_of_a_straight_course():
+    """A boat that does 1 m/s by her propeller and half of it in turns, and needs 5 s for either."""
+    t, interval = 0.2 * np.arange(3000), 0.2
+    rudder = np.where(t % 60.0 < 20.0, 0.5, 0.0)
+    speed = np.ones(t.size)
+    for k in range(1, t.size):
+        wanted = 0.5 if rudder[k - 1] else 1.0
+        speed[k] = speed[k - 1] + interval / 5.0 * (wanted - speed[k - 1])
+    rate = 0.6 * rudder
+    psi = np.cumsum(interval * rate)
+    x, y = (np.cumsum(interval * speed * part) for part in (np.cos(psi), np.sin(psi)))
+    orders = {"rudder": rudder, "propeller": 10 + 0 * t}
+    run = Trajectory(
+        t, x, y, psi, speed, 0 * t, rate, commanded=orders, executed={}, extra={},
+        valid=np.ones(t.shape, bool),
+    )  # fmt: skip
+    (point,) = check_run(run, [], ("csv", "a table", "vessel"), {}).answers.speed
+    assert point.answer.value == pytest.approx(1.0, abs=0.02) and point.answer.low > 0.95

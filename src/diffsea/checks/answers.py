@@ -8,7 +8,7 @@ fastest rate recorded, and are at least those of a small boat.
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -193,7 +193,7 @@ def answers_of(runs: Sequence[tuple[Trajectory, Sequence[tuple[float, float]]]])
     turn = np.concatenate(turns) if turns else np.full(ahead.shape, np.nan)
     rng = np.random.default_rng(0)
     steady_ahead = np.concatenate([_stood(p.orders.ahead, scales) for p in pieces])
-    straight = ~(np.abs(turn) > _STRAIGHT)
+    straight = np.concatenate([_straight(p.orders, scales) for p in pieces])
     speed = _steady_points(ahead, speeds, steady_ahead & straight, scales, "m/s", rng)
     turning: tuple[SteadyPoint, ...] = ()
     lag_of_turning = asymmetry = None
@@ -249,12 +249,26 @@ def _piece(run: Trajectory, scales: TimeScales) -> _UsedSpan | None:
 def _stood(order: Samples | None, scales: TimeScales) -> np.ndarray:
     """Rows in which an order has stood for long enough."""
     assert order is not None
+    return _throughout(order, scales, lambda windows: np.ptp(windows, axis=1) <= 2 * _SAME)
+
+
+def _straight(orders: OrderShares, scales: TimeScales) -> np.ndarray:
+    """Rows before which no turn was ordered for long enough: the speed lost in it is regained."""
+    if orders.turning is None:
+        return np.ones(orders.ahead.shape, dtype=bool)
+    turns = np.abs(orders.turning)
+    return _throughout(turns, scales, lambda windows: windows.max(axis=1) <= _STRAIGHT)
+
+
+def _throughout(
+    order: Samples, scales: TimeScales, holds: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """Rows that end a time, as long as orders must have stood, in which something holds."""
     rows = max(1, round(scales.stayed / scales.interval))
     if order.size <= rows:
         return np.zeros(order.shape, dtype=bool)
     windows = np.lib.stride_tricks.sliding_window_view(order, rows + 1)
-    stood = np.ptp(windows, axis=1) <= 2 * _SAME
-    return np.concatenate([np.zeros(rows, dtype=bool), stood])
+    return np.concatenate([np.zeros(rows, dtype=bool), holds(windows)])
 
 
 def _steady_points(
