@@ -176,7 +176,8 @@ def excerpt_times(lengths: dict[int, int], rows: int) -> dict[int, set[float]]:
     gusts = GustPropagation(three, three)
     placement = SamplePlacement(np.zeros((rows, 6), int), np.zeros(rows, bool))
     gains = Gains(wide.transpose(0, 2, 1), square, used, gusts, placement)
-    filtered = FilterRun(gains, six, six, six, None, six, square, wide, three, three, six)
+    P = np.zeros((rows, 9, 9))
+    filtered = FilterRun(gains, six, six, six, P, six, square, wide, three, three, six)
     part, clock = take_excerpt(filtered, RowTimes(dt, run.astype(int), np.ones(6)))
     counted = np.asarray(part.gains.used).any(-1)
     chosen, found = np.asarray(clock.dt)[counted], np.asarray(clock.run)[counted]
