@@ -323,8 +323,10 @@ def predict_command(args: argparse.Namespace) -> None:
     from diffsea.report.pages.recordings import prediction_page
     from diffsea.report.pictures import save_prediction
     from diffsea.report.predictions import Prediction
+    from diffsea.report.wording.horizons import persistence_sentence
     from diffsea.simulation.actuation import how_actuated
     from diffsea.simulation.order_units import require_order_units
+    from diffsea.simulation.persistence import persistence_errors
     from diffsea.simulation.replay import horizon_errors, replay, replay_errors
     from diffsea.trajectory import Outcome
 
@@ -355,14 +357,17 @@ def predict_command(args: argparse.Namespace) -> None:
             )
         tell("predicting from starts along the run")
         ahead = horizon_errors(vessel, recording, measured_actuation=not args.orders)
+        kept_up = persistence_errors(recording)
+        warning = persistence_sentence(ahead, kept_up)
         result: dict[str, Any] = {
             "vessel": vessel.name,
             "recording": recording.name,
             "actuation": actuation,
             "overall": replay_errors(predicted, recording),
             "horizons": {f"{seconds:g}": errors for seconds, errors in ahead.items()},
+            "persistence": {f"{seconds:g}": errors for seconds, errors in kept_up.items()},
             "units": UNITS | {"horizons": "s"},
-            "notes": list(predicted.provenance),
+            "notes": [*predicted.provenance, *([warning] if warning else [])],
         }
         if environment is not None:
             result["environment"] = {"seconds": args.environment_from, **environment}

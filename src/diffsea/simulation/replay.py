@@ -132,7 +132,7 @@ def replay_errors(predicted: Trajectory, recording: Trajectory) -> dict[str, flo
     if not np.array_equal(measured.t, np.asarray(predicted.t)):
         raise ValueError("a replay is compared with the recording that it was made from")
     shown = {c: np.asarray(getattr(predicted, c)) for c in MOTION_CHANNELS}
-    return _rms_errors({c: shown[c] - measured.motion[c] for c in MOTION_CHANNELS})
+    return rms_errors({c: shown[c] - measured.motion[c] for c in MOTION_CHANNELS})
 
 
 def horizon_errors(
@@ -158,7 +158,7 @@ def horizon_errors(
     for horizon, found in misses.items():
         diverged = int(np.isinf(np.stack(list(found.values()))).any(0).sum())
         told = {"diverged": diverged} if diverged else {}
-        errors[horizon] = {**_rms_errors(found), **told, "starts": len(found["x"])}
+        errors[horizon] = {**rms_errors(found), **told, "starts": len(found["x"])}
     return errors
 
 
@@ -183,13 +183,7 @@ def prediction_misses(
     vessel = _as_arrays(vessel)
     inputs = _replay_inputs(vessel, recording, measured_actuation)
     rows, motion = inputs.rows, inputs.motion
-    # Rows at which predictions start, and those at which each is compared, -1 for none.
-    near = max(0.05, 0.5 * median_interval(t)) * (1 + 1e-9)
-    begin = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] - min(horizons) + 1e-9, spacing)))
-    wanted = t[begin][:, None] + np.asarray(horizons)
-    after = np.searchsorted(t, wanted).clip(1, len(t) - 1)
-    end = np.where(wanted - t[after - 1] < t[after] - wanted, after - 1, after)
-    end = np.where(np.abs(t[end] - wanted) <= near, end, -1)
+    begin, end = spans_ahead(t, horizons, spacing)
     ends = np.where(end >= 0, rows[np.maximum(end, 0)] - rows[begin][:, None], 0)
     reached = _predict_from_each(vessel, inputs, motion if states is None else states, begin, ends)
     length = float(vessel.rigid_body.length)
@@ -210,6 +204,18 @@ def prediction_misses(
             misses[c] = np.where(known[c][at], missed, np.nan)
         found[float(horizon)] = misses
     return found
+
+
+def spans_ahead(
+    t: Samples, horizons: Sequence[float], spacing: float
+) -> tuple[Int[np.ndarray, "start"], Int[np.ndarray, "start horizon"]]:
+    """Rows at which predictions start, and those at which each is compared, -1 for none."""
+    near = max(0.05, 0.5 * median_interval(t)) * (1 + 1e-9)
+    begin = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] - min(horizons) + 1e-9, spacing)))
+    wanted = t[begin][:, None] + np.asarray(horizons)
+    after = np.searchsorted(t, wanted).clip(1, len(t) - 1)
+    end = np.where(wanted - t[after - 1] < t[after] - wanted, after - 1, after)
+    return begin, np.where(np.abs(t[end] - wanted) <= near, end, -1)
 
 
 def with_heel(environment: Environment, heel: Scalar) -> Environment:
@@ -365,7 +371,8 @@ def _states_at(motion: Mapping[str, Samples], rows: Int[np.ndarray, "start"] | i
     return State(*(jnp.asarray(motion[c][rows]) for c in MOTION_CHANNELS))
 
 
-def _rms_errors(difference: dict[str, Samples]) -> dict[str, float]:
+def rms_errors(difference: Mapping[str, Samples]) -> dict[str, float]:
+    """Root mean squares of the known differences by channel, by the names of `replay_errors`."""
     misses = {
         "position": np.hypot(difference["x"], difference["y"]),
         "heading": np.asarray(wrap(difference["psi"])),

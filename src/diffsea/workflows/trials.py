@@ -12,9 +12,11 @@ from diffsea.metrics.numbers import numbers_of
 from diffsea.outside.durable import working_folder
 from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
+from diffsea.report.wording.horizons import persistence_sentence
 from diffsea.simulation import planning
 from diffsea.simulation.designs import Grid, LatinHypercube
 from diffsea.simulation.order_units import require_order_units
+from diffsea.simulation.persistence import persistence_errors
 from diffsea.simulation.replay import horizon_errors, replay, replay_errors
 from diffsea.studies import inverse, merging, sensitivity
 from diffsea.studies import parts as kept
@@ -115,6 +117,10 @@ class PredictionResult(Tabulated):
         ahead = {f"{seconds:g} s ahead": row for seconds, row in self.horizons.items()}
         table = {"whole run": self.errors, **ahead}
         return [{"": label, **row} for label, row in table.items()]
+
+    def notes(self) -> list[str]:
+        told = persistence_sentence(self.horizons, persistence_errors(self.recording))
+        return [f"warning: {told}"] if told else []
 
 
 def predict(

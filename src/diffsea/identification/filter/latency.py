@@ -62,12 +62,13 @@ def channel_latencies(vessel: Vessel) -> Float[Array, "6"]:
 def place_samples(vessel: Vessel, dataset: Dataset) -> SamplePlacement:
     """Each sample at the first row after the time that it is of, one to a row, in their order."""
     t, part, rows = dataset.t, dataset.part, jnp.arange(dataset.t.size)
-    first, end = (_index(jnp.searchsorted(part, part, side=side)) for side in ("left", "right"))
+    # JAX counts in 32 bits here, whatever the numbers are that it counts.
+    first, end = (jnp.searchsorted(part, part, side=s).astype(int) for s in ("left", "right"))
 
     def source_of(known: Bool[Array, "row"], lag: Float[Array, ""]) -> Int[Array, "row"]:
-        next_row = _index(jnp.searchsorted(t, t - lag - SAME_TIME))
+        next_row = jnp.searchsorted(t, t - lag - SAME_TIME).astype(int)
         # Those before take each a row of their own: what is left is behind their last one.
-        number = _index(jnp.cumsum(known))
+        number = jnp.cumsum(known).astype(int)
         free = jnp.clip(next_row, first, end - 1) - number + rows.size * part
         row = jax.lax.cummax(jnp.where(known, free, -1)) + number - rows.size * part
         row = jnp.where(known & (row < end), row, rows.size)
@@ -78,10 +79,6 @@ def place_samples(vessel: Vessel, dataset: Dataset) -> SamplePlacement:
     sampled = jnp.cumsum(jnp.any(source >= 0, axis=1))
     before = jnp.where(rows > 0, jnp.roll(sampled, 1), 0)
     return SamplePlacement(source, before == before[first])
-
-
-def _index(found: Int[Array, "row"]) -> Int[Array, "row"]:
-    return found.astype(int)
 
 
 def placed_samples(dataset: Dataset, placement: SamplePlacement) -> PlacedSamples:

@@ -1,6 +1,6 @@
 """Errors of free predictions in words: how far ahead, of what, and which to quote."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from diffsea.report.quantities import is_known, round_to_error
 from diffsea.report.wording.words import Record
@@ -51,6 +51,35 @@ def diverged_predictions(row: Record, models: Sequence[str]) -> str:
     counts = [int(row[model].get("diverged", 0)) for model in models]
     said = " -> ".join(map(str, counts))
     return f" ({said} of {row['starts']} diverge)" if any(counts) else ""
+
+
+def persistence_sentence(
+    predicted: Mapping[float, Mapping[str, float]], kept_up: Mapping[float, Mapping[str, float]]
+) -> str:
+    """A warning where a model is no better than going on as before, else nothing.
+
+    At the horizon that is quoted, in the first quantity that was measured.
+
+    Arguments:
+        predicted: errors of a model by horizon (s), as `horizon_errors` has them.
+        kept_up: those of going on as before, as `persistence_errors` has them.
+    """
+    both = [
+        {"seconds": seconds, "predicted": errors, "kept up": kept_up[seconds]}
+        for seconds, errors in predicted.items()
+    ]
+    row = headline_horizon(both, ("predicted", "kept up"))
+    if row is None:
+        return ""
+    name = known_quantities(row, ("predicted", "kept up"))[0]
+    model, kept = (row[one][name] for one in ("predicted", "kept up"))
+    if model < kept:
+        return ""
+    sizes = [two_digits(one, QUANTITIES[name]) for one in (model, kept)]
+    return (
+        f"the {name} {row['seconds']:g} s ahead is off by {sizes[0]}, and by {sizes[1]} if the "
+        "boat went on as before, whatever is ordered: the vessel file does not describe how it moves"
+    )
 
 
 def two_digits(value: float, unit: str) -> str:
