@@ -75,10 +75,10 @@ def persistence_sentence(
     model, kept = (row[one][name] for one in ("predicted", "kept up"))
     if model < kept:
         return ""
-    sizes = [two_digits(one, QUANTITIES[name]) for one in (model, kept)]
+    off, before = (two_digits(one, QUANTITIES[name]) for one in (model, kept))
     return (
-        f"the {name} {row['seconds']:g} s ahead is off by {sizes[0]}, and by {sizes[1]} if the "
-        "boat went on as before, whatever is ordered: the vessel file does not describe how it moves"
+        f"the {name} {row['seconds']:g} s ahead is off by {off}, and by {before} if the boat went on "
+        "as before, whatever is ordered: the vessel file does not describe its motion"
     )
 
 
