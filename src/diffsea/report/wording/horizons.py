@@ -77,8 +77,8 @@ def persistence_sentence(
         return ""
     off, before = (two_digits(one, QUANTITIES[name]) for one in (model, kept))
     return (
-        f"the {name} {row['seconds']:g} s ahead is off by {off}, and by {before} if the boat went on "
-        "as before, whatever is ordered: the vessel file does not describe its motion"
+        f"the {name} {row['seconds']:g} s ahead is off by {off}, and by {before} if the boat went "
+        "on as before, whatever is ordered: the vessel file does not describe its motion"
     )
 
 
