@@ -95,7 +95,7 @@ def study(run: Experiment, name: str) -> None:
     for way, objective in ways.items():
         found = objective.fit(free)
         vessel = fitted_vessel(file, objective, found)
-        rows = errors(held_out, file.vessel, [RunModel(vessel)] * len(held_out))
+        rows = errors(held_out, *([RunModel(one)] * len(held_out) for one in (file.vessel, vessel)))
         judged = sources(objective, found)
         record[way] = {
             "outcome": found.outcome.value,

@@ -124,12 +124,13 @@ def study_set(run: Experiment, name: str, case: Set) -> None:
     document = updated_document(file.document, study.values, [])
     vessel = build(document)
     judged, fitted = study.held_out(test)
+    before = [RunModel(file.vessel, states) for states in study.start_states(train, test)]
     record = {
         "rows": study.rows,
         "effects": study.effects,
         "quality": study.quality(test),
         "noise": noise(study),
-        "horizons": errors(judged, file.vessel, fitted),
+        "horizons": errors(judged, before, fitted),
         "numbers": [
             row
             for run, after in zip(judged, fitted, strict=True)
@@ -196,17 +197,19 @@ def _mapping(case: Set) -> str:
     return repaired.name if repaired.exists() else "mapping.toml"
 
 
-def errors(test: Sequence[Trajectory], before: Vessel, after: Sequence[RunModel]) -> list[dict]:
+def errors(
+    test: Sequence[Trajectory], before: Sequence[RunModel], after: Sequence[RunModel]
+) -> list[dict]:
     """Free-run errors at 5, 20 and 60 s, of the vessel file and of the fit to each run."""
     runs = [
         ComparedRun(
             run,
             {
-                "file": predict(before, run, fitted.states),
+                "file": predict(start.vessel, run, start.states),
                 "fit": predict(fitted.vessel, run, fitted.states),
             },
         )
-        for run, fitted in zip(test, after, strict=True)
+        for run, start, fitted in zip(test, before, after, strict=True)
     ]
     return horizon_table(runs)
 

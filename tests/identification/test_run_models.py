@@ -11,7 +11,7 @@ from tests.paths import ORACLE
 from tests.runs import random_steps
 
 from diffsea.identification.fit import estimate
-from diffsea.identification.free_predictions import motion_misfit
+from diffsea.identification.free_predictions import expected_squares, motion_misfit
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
 from diffsea.identification.run_models import filtered_states, held_out_models
@@ -67,6 +67,13 @@ def test_predictions_begin_in_what_the_filter_knows(data, fitted, runs):
     whole, run = runs[1]
     ((vessel, states),) = held_out_models(data, fitted)
     assert states is not None and all(len(states[c]) == len(run.t) for c in "uvr")
+    # A filter that has just begun knows less than all fixes do: it is not asked.
+    assert np.isnan(states["u"][0]) and np.isfinite(states["u"][whole.t > 10.0]).all()
+    first = [
+        prediction_misses(vessel, run, (20.0,), 5.0, states=own)[20.0]["y"][0]
+        for own in (states, None)
+    ]
+    assert first[0] == pytest.approx(first[1], abs=1e-9)
     later = whole.t > 10.0
     for channel, error in (("u", 0.025), ("v", 0.03), ("r", 0.01)):
         assert rms((states[channel] - whole.motion[channel])[later]) < error, channel
@@ -91,6 +98,18 @@ def test_the_filter_states_how_well_it_knows_them(data, fitted, runs):
 def test_noise_explains_what_predictions_from_filtered_states_miss(data, fitted):
     ratio = motion_misfit(data, fitted).ratio
     assert set(ratio) == {20.0, 60.0} and all(0.3 < one < 3.0 for one in ratio.values())
+
+
+def test_what_noise_explains_of_a_run_does_not_depend_on_other_runs(data, fitted, runs):
+    """One of measured velocities beside one without."""
+    whole, run = runs[1]
+
+    def expected(*some) -> np.ndarray:
+        problem = make_problem(data.test.base, list(some), FREE)
+        return expected_squares(problem, np.zeros(len(FREE)), fitted.noise, 20.0)
+
+    alone, other, both = expected(run), expected(whole), expected(run, whole)
+    np.testing.assert_allclose(both, (alone + other) / 2, rtol=0.02)
 
 
 def test_no_reading_of_what_follows_is_known_where_a_prediction_begins(data, fitted, runs):

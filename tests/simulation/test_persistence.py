@@ -6,6 +6,7 @@ import pytest
 from diffsea import Trajectory
 from diffsea.report.wording.horizons import persistence_sentence
 from diffsea.simulation.persistence import persistence_errors
+from diffsea.vessel.sensors import Sensors
 
 
 T = 0.5 * np.arange(161)  # s
@@ -29,7 +30,7 @@ def test_nothing_is_missed_of_a_motion_that_goes_on(rate):
         y = (-u * (np.cos(psi) - np.cos(0.4)) + v * (np.sin(psi) - np.sin(0.4))) / rate
     else:
         x, y = (u * np.cos(0.4) - v * np.sin(0.4)) * T, (u * np.sin(0.4) + v * np.cos(0.4)) * T
-    found = persistence_errors(run(x, y, psi, u, v, rate))
+    found = persistence_errors(run(x, y, psi, u, v, rate), Sensors())
     assert set(found) == {5.0, 20.0, 60.0}
     assert all(max(one[k] for k in one if k != "starts") < 1e-9 for one in found.values())
     assert found[60.0]["starts"] == 3 and found[5.0]["starts"] == 8
@@ -37,11 +38,11 @@ def test_nothing_is_missed_of_a_motion_that_goes_on(rate):
 
 def test_speed_that_rises_is_missed_by_as_much_as_it_rose():
     """x = a t^2 / 2: after s seconds a s^2 / 2 further than by the speed of the start."""
-    found = persistence_errors(run(0.05 * T**2, 0, 0, 0.1 * T, 0, 0), (5.0, 20.0))
+    found = persistence_errors(run(0.05 * T**2, 0, 0, 0.1 * T, 0, 0), Sensors(), (5.0, 20.0))
     for seconds, errors in found.items():
         assert errors["position"] == pytest.approx(0.05 * seconds**2)
         assert errors["u"] == pytest.approx(0.1 * seconds) and errors["heading"] == 0.0
-    assert persistence_errors(run(T, 0, 0, 1, 0, 0), (200.0,)) == {}
+    assert persistence_errors(run(T, 0, 0, 1, 0, 0), Sensors(), (200.0,)) == {}
 
 
 def test_a_model_that_is_no_better_is_told_with_both_errors():
@@ -50,10 +51,11 @@ def test_a_model_that_is_no_better_is_told_with_both_errors():
     assert persistence_sentence(better, kept) == ""
     worse = {5.0: {"position": 0.5, "heading": 0.1}, 20.0: {"position": 12.0, "heading": 0.1}}
     told = persistence_sentence(worse, kept)
-    assert told.startswith("the position 20 s ahead is off by 12 m, and by 8.0 m if the boat")
+    assert told.startswith("the position 20 s ahead is off by 12 m, and would be by 8.0 m if")
     turning = {20.0: {"heading": 0.9}}
-    assert "the heading 20 s ahead is off by 52 deg, and by 29 deg" in persistence_sentence(
-        turning, {20.0: {"heading": 0.5}}
+    assert (
+        "the heading 20 s ahead is off by 52 deg, and would be by 29 deg"
+        in persistence_sentence(turning, {20.0: {"heading": 0.5}})
     )
     assert persistence_sentence({20.0: {"u": 1.0}}, {20.0: {"u": 0.5}}) == ""
-    assert persistence_sentence({}, {}) == ""
+    assert persistence_sentence({}, {}) == persistence_sentence(kept, kept) == ""

@@ -357,7 +357,7 @@ def predict_command(args: argparse.Namespace) -> None:
             )
         tell("predicting from starts along the run")
         ahead = horizon_errors(vessel, recording, measured_actuation=not args.orders)
-        kept_up = persistence_errors(recording)
+        kept_up = persistence_errors(recording, vessel.sensors)
         warning = persistence_sentence(ahead, kept_up)
         result: dict[str, Any] = {
             "vessel": vessel.name,

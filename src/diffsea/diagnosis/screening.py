@@ -194,7 +194,7 @@ def locate_by_noise_of(better: Estimate, problem: Problem, fitted: Estimate) -> 
     out. The better model's innovations also say how they depend on one another in time.
     """
     correlation = linearise_model(problem, better).projection(better.free).correlation
-    start = Start.beside(better, fitted.coordinates)
+    start = Start(fitted.coordinates, better.noise, fitted.left_out)
     fitted = estimate(problem, fitted.free, *start, rounds=6, fixed_noise=True)
     model = linearise_model(problem, fitted)
     projection = model.projection(fitted.free, correlation)

@@ -60,6 +60,11 @@ class Start(NamedTuple):
         return cls(fitted.coordinates, fitted.noise, fitted.left_out)
 
     @classmethod
+    def of_other_data(cls, fitted: Estimate) -> "Start":
+        """Where a fit to other data ended, whose slopes are not those of these."""
+        return cls(fitted.coordinates, fitted.noise)
+
+    @classmethod
     def beside(cls, fitted: Estimate, coordinates: Coordinates) -> "Start":
         """At some coordinates, with all else as where another fit ended."""
         return cls(coordinates, fitted.noise, fitted.left_out)
@@ -150,7 +155,8 @@ def _search(
     """The fit from some coordinates, with so many `steps` of the noise in the first round.
 
     Every round lowers the deviance: first by the noise, so that the innovations are weighed
-    rightly, then by the parameters. None is begun once the budget is spent.
+    rightly, then by the parameters. None is begun once the budget is spent. With fixed noise, a
+    first look, what held gains leave out of the slope stays as it was where the fit began.
     """
     index = np.array(problem.layout.indices(free), int)
     data = problem.dataset

@@ -19,7 +19,7 @@ from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.covariance import Noise, gust_propagation
 from diffsea.identification.holdout import Split, held_out_coordinates
 from diffsea.identification.problem import Problem
-from diffsea.identification.run_models import RunModel, held_out_models
+from diffsea.identification.run_models import RunModel, held_out_models, is_settled
 from diffsea.kinematics import wrap
 from diffsea.simulation.replay import prediction_misses
 from diffsea.statistics import moving_block_draws
@@ -32,7 +32,6 @@ DRAWS = 500  # of the bootstrap
 BEYOND_CHANCE = 0.99  # level of both: a cause that is true may cost a little by chance
 NOTICEABLE = 1.1  # times the mean square: errors of parameters move all draws alike, unseen
 PROBABLE = 0.95  # level at which they speak for a cause that one-step errors leave open
-UNSETTLED = 2.0  # times the usual variance of filtered speeds: a filter that has just begun
 LARGEST_RATIO = 10.0  # of one prediction's loss over the usual one: more says no more
 
 
@@ -294,12 +293,14 @@ def expected_squares(
         return np.full(2, np.nan)
     sensor, slow = np.exp(2 * np.asarray(noise.sensor)), np.exp(2 * np.asarray(noise.slow))
     measured = np.diag(np.concatenate([sensor, slow]))
-    known, number = np.asarray(data.known), np.asarray(data.run)[starts]
-    is_measured = np.array([known[rows, 3:5].any(0).all() for rows in data.rows_of_runs])[number]
-    P = np.where(is_measured[:, None, None], measured, np.asarray(run.covariance)[starts])
-    speeds = P[:, 3, 3] + P[:, 4, 4]
-    is_settled = speeds <= UNSETTLED * np.median(speeds)
-    P, starts, ends = P[is_settled], starts[is_settled], ends[is_settled]
+    covariance, counts = np.asarray(run.covariance).copy(), np.ones(len(F), bool)
+    for rows in data.rows_of_runs:
+        if np.asarray(data.known)[rows, 3:5].any(0).all():
+            covariance[rows] = measured
+        else:
+            counts[rows] = is_settled(covariance[rows])
+    starts, ends = starts[counts[starts]], ends[counts[starts]]
+    P = covariance[starts]
     for step in range(int((ends - starts).max(initial=0))):
         going = starts + step < ends
         rows = (starts + step)[going]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.estimates import Estimate
@@ -19,6 +19,8 @@ from diffsea.trajectory import MOTION_CHANNELS, Samples, Trajectory
 from diffsea.vessel.base import Vessel
 
 
+UNSETTLED = 2.0  # times the usual variance of filtered speeds: a filter that has just begun
+
 Motion = dict[str, Samples]  # by motion channel, in the rows of a recording that count
 
 
@@ -26,7 +28,8 @@ class RunModel(NamedTuple):
     """A vessel in the environment of a run.
 
     Attributes:
-        states: motion in which free predictions begin, in the rows that count; as recorded if None.
+        states: motion in which free predictions begin, in the rows that count, NaN where it is as
+            recorded; all of it if None.
     """
 
     vessel: Vessel
@@ -55,22 +58,31 @@ _vessel_at = eqx.filter_jit(vessel_at)
 def filtered_states(
     problem: Problem, coordinates: Coordinates, noise: Noise, runs: Sequence[Trajectory]
 ) -> list[Motion | None]:
-    """What a filter makes of the motion in each of a problem's runs, by what was recorded before.
+    """What a filter makes of the motion in each of a problem's runs, once it has settled.
 
     None of a run whose velocities were recorded. Those that are derived from fixes miss the sway of
     a vessel by as much as a turn makes of it: predictions would err by their first states, whatever
-    the model. Between the rows that are filtered motion is linear.
+    the model. Between the rows that are filtered motion is linear; NaN where the filter has just
+    begun, in a rough guess.
     """
     if all(has_velocities(run) for run in runs):
         return [None] * len(runs)
-    states = np.asarray(problem.run_filter(coordinates, noise).state)
+    filtered = problem.run_filter(coordinates, noise)
+    states, covariance = np.asarray(filtered.state), np.asarray(filtered.covariance)
     vessel, _ = _vessel_at(problem.base, problem.layout, coordinates)
     times = np.asarray(without_time_errors(vessel, problem.dataset)[1].run_time)
     found: list[Motion | None] = []
     for run, rows in zip(runs, problem.dataset.rows_of_runs, strict=False):
-        at = {} if has_velocities(run) else _motion_at(run.counted().t, times[rows], states[rows])
-        found.append(at or None)
+        own = np.where(is_settled(covariance[rows])[:, None], states[rows], np.nan)
+        motion = None if has_velocities(run) else _motion_at(run.counted().t, times[rows], own)
+        found.append(motion)
     return found
+
+
+def is_settled(covariance: Float[np.ndarray, "row 9 9"]) -> Bool[np.ndarray, "row"]:
+    """In which rows of a run a filter knows the speeds about as well as it usually does."""
+    speeds = covariance[:, 3, 3] + covariance[:, 4, 4]
+    return speeds <= UNSETTLED * np.median(speeds)
 
 
 def has_velocities(run: Trajectory) -> bool:

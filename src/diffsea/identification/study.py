@@ -210,12 +210,23 @@ class Study:
         data = self.split(test)
         return list(data.held_out), held_out_models(data, self._filtered)
 
-    def states_of(self, recordings: Sequence[Trajectory]) -> list[Motion | None]:
-        """States in which predictions of the runs that were fitted begin, as of a `RunModel`."""
+    def fitted_models(self, vessel: Vessel, recordings: Sequence[Trajectory]) -> list[RunModel]:
+        """The fitted vessel in each run that was fitted; none of trial numbers alone."""
         if self.problem is None:
             return []
         fitted = self._filtered
-        return filtered_states(self.problem, fitted.coordinates, fitted.noise, recordings)
+        states = filtered_states(self.problem, fitted.coordinates, fitted.noise, recordings)
+        return [RunModel(vessel, own) for own in states]
+
+    def start_states(
+        self, recordings: Sequence[Trajectory], test: Sequence[Trajectory]
+    ) -> list[Motion | None]:
+        """States in which the vessel file's predictions begin: held out runs, else those fitted."""
+        if self.problem is None:
+            return []
+        data = self.split(test) if test else None
+        problem, runs = (self.problem, recordings) if data is None else (data.test, data.held_out)
+        return filtered_states(problem, problem.start()[0], self.noise, runs)
 
     @property
     def noise(self) -> Noise:

@@ -71,7 +71,7 @@ def diagnosis_report(
     """The page.
 
     Arguments:
-        summary: the content of diagnosis.json; what it lacks is said not to have been computed.
+        summary: the content of diagnosis.json.
         split: recordings that were fitted and those held out.
         runs: those held out and what both models predict of them.
         source: what was run on what: file names, hashes, settings; shown as it is.

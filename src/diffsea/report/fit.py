@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 
 from diffsea.budget import left_out_sentence
 from diffsea.identification.estimates import FitOutcome
-from diffsea.identification.run_models import RunModel
+from diffsea.identification.run_models import Motion, RunModel
 from diffsea.identification.study import Study
 from diffsea.identification.sufficiency import FitVerdict
 from diffsea.identification.uncertainty.sources import Sources
@@ -112,20 +112,23 @@ def compare_fit(
     """Predictions of what was held out, or else of what was fitted, before and after the fit.
 
     Where wind and current are each recording's own, those of a run held out are estimated on
-    its first part, and the rest is predicted. Both begin in the same states.
+    its first part, and the rest is predicted.
     """
     train, test = data
     if test:
         runs, models = study.held_out(test)
     else:
-        runs, models = train, [RunModel(fitted, states) for states in study.states_of(train)]
+        runs, models = train, study.fitted_models(fitted, train)
+    before = study.start_states(train, test)
 
-    def compared(run: Trajectory, model: RunModel) -> ComparedRun:
-        both = {"start": start, "fitted": model.vessel}
-        found = {name: predict(vessel, run, model.states) for name, vessel in both.items()}
+    def compared(run: Trajectory, model: RunModel, states: Motion | None) -> ComparedRun:
+        found = {
+            "start": predict(start, run, states),
+            "fitted": predict(model.vessel, run, model.states),
+        }
         return ComparedRun(run, found, fitted.units)
 
-    return [compared(run, model) for run, model in zip(runs, models, strict=True)]
+    return [compared(*one) for one in zip(runs, models, before, strict=True)]
 
 
 def worse_warning(runs: Sequence[ComparedRun]) -> str:

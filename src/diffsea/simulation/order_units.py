@@ -55,10 +55,16 @@ def require_order_units(vessel: Vessel, recordings: Iterable[Trajectory]) -> Non
             raise UserError(f"{run.name}: {first.message}{likewise}; {first.repair}")
 
 
-def order_doubts(vessel: Vessel, recording: Trajectory) -> list[str]:
-    """What is doubtful about a recording's actuation, in words with what to do."""
+def order_doubts(vessel: Vessel, recording: Trajectory, measured: Iterable[str]) -> list[str]:
+    """What is doubtful about the actuation that is used of a recording, in words with what to do.
+
+    Arguments:
+        measured: channels of which it is the measured one; the orders of the others.
+    """
+    executed = set(measured)
+    used = {f"{'exec_' if c in executed else 'cmd_'}{c}" for c in vessel.channels}
     found = [one for one in unit_findings(vessel, recording) if one.doubt]
-    return [f"{one.message}; {one.repair}" for one in found]
+    return [f"{one.message}; {one.repair}" for one in found if used & {*one.channels}]
 
 
 def _finding(channel: str, values: Samples, servo: Servo, unit: str) -> Finding | None:

@@ -13,7 +13,10 @@ from diffsea.vessel.sensors import Sensors
 
 
 def persistence_errors(
-    recording: Trajectory, horizons: Sequence[float] = HORIZONS, spacing: float = 10.0
+    recording: Trajectory,
+    sensors: Sensors,
+    horizons: Sequence[float] = HORIZONS,
+    spacing: float = 10.0,
 ) -> dict[float, dict[str, float]]:
     """Errors of going on with the speeds of each start, whatever is ordered.
 
@@ -24,8 +27,8 @@ def persistence_errors(
     t = run.t
     if t[0] + min(horizons) > t[-1]:
         return {}
-    motion, _ = true_motion(Sensors(), run)
-    known = {c: has_sample_near(Sensors(), run, c) for c in MOTION_CHANNELS}
+    motion, _ = true_motion(sensors, run)
+    known = {c: has_sample_near(sensors, run, c) for c in MOTION_CHANNELS}
     begin, end = spans_ahead(t, horizons, spacing)
     errors = {}
     for k, horizon in enumerate(horizons):

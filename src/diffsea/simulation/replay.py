@@ -151,7 +151,7 @@ def horizon_errors(
 
     Arguments:
         states: true motion in the rows that count, by channel, in which predictions begin; what was
-            recorded, and what is derived from it, if None.
+            recorded, and what is derived from it, where it is NaN or None.
     """
     misses = prediction_misses(vessel, recording, horizons, spacing, measured_actuation, states)
     errors = {}
@@ -185,7 +185,9 @@ def prediction_misses(
     rows, motion = inputs.rows, inputs.motion
     begin, end = spans_ahead(t, horizons, spacing)
     ends = np.where(end >= 0, rows[np.maximum(end, 0)] - rows[begin][:, None], 0)
-    reached = _predict_from_each(vessel, inputs, motion if states is None else states, begin, ends)
+    given = {} if states is None else states
+    first = {c: np.where(np.isfinite(v := given.get(c, motion[c])), v, motion[c]) for c in motion}
+    reached = _predict_from_each(vessel, inputs, first, begin, ends)
     length = float(vessel.rigid_body.length)
     known = {c: has_sample_near(vessel.sensors, inputs.run, c) for c in MOTION_CHANNELS}
     found = {}
@@ -230,7 +232,7 @@ def _replay_inputs(
     orders, executed = recorded_actuation(vessel, run)
     executed = executed if measured_actuation else {}
     commanded = [c for c in vessel.channels if c not in executed]
-    notes = order_doubts(vessel, run)
+    notes = order_doubts(vessel, run, executed)
     notes += [f"executed {', '.join(executed)} as measured"] if executed else []
     if commanded:
         notes.append(f"executed {', '.join(commanded)} reconstructed from the orders")

@@ -228,9 +228,6 @@ def fit(
         file = as_vessel_file(vessel)
         given = fitted_data(file.vessel, data, test, mapping, keep_idle, progress)
         require_order_units(file.vessel, [*given.recordings, *given.test])
-        for run in (*given.recordings, *given.test):
-            for doubt in order_doubts(file.vessel, run):
-                progress(Remark(f"{run.name}: {doubt}"))
         not_done: tuple[str, ...] = ()
         if quick:
             whole = [*given.recordings, *given.test]
@@ -258,6 +255,11 @@ def fit(
         told = " and ".join(filter(None, (runs, sheets)))
         same = _with_same_feedback(file.vessel, given.recordings, given.test, progress)
         given = given._replace(recordings=same[0], test=same[1])
+        whole = [*given.recordings, *given.test]
+        measured = [c for c, how in how_actuated(file.vessel, whole).items() if how == "measured"]
+        for run in whole:
+            for doubt in order_doubts(file.vessel, run, measured):
+                progress(Remark(f"{run.name}: {doubt}"))
         progress(f"fitting {told}, {len(given.test)} held out")
         study = identify(file.vessel, [*given.recordings, *given.trials], settings, progress)
         source = f"{', '.join(study.values)} fitted to {told}"

@@ -100,7 +100,7 @@ class PredictionResult(Tabulated):
     """What a vessel predicts for a recording's orders, open loop, and how far it is off.
 
     `errors` are root-mean-square errors over the run, `horizons` those so many seconds ahead of
-    starts all over the run; SI units.
+    starts all over the run, `persistence` those of going on as before from there; SI units.
     """
 
     vessel: Vessel
@@ -108,6 +108,7 @@ class PredictionResult(Tabulated):
     predicted: Trajectory
     errors: dict[str, float]
     horizons: dict[float, dict[str, float]]
+    persistence: dict[float, dict[str, float]]
 
     def headline(self) -> str:
         who = f"{self.recording.name} predicted by {self.vessel.name}"
@@ -119,7 +120,7 @@ class PredictionResult(Tabulated):
         return [{"": label, **row} for label, row in table.items()]
 
     def notes(self) -> list[str]:
-        told = persistence_sentence(self.horizons, persistence_errors(self.recording))
+        told = persistence_sentence(self.horizons, self.persistence)
         return [f"warning: {told}"] if told else []
 
 
@@ -144,7 +145,8 @@ def predict(
     if predicted.outcome == Outcome.DIVERGED:
         raise UserError(f"{run.name}: {Outcome.DIVERGED.sentence}")
     horizons = horizon_errors(boat, run, measured_actuation=measured_actuation)
-    return PredictionResult(boat, run, predicted, replay_errors(predicted, run), horizons)
+    kept_up = persistence_errors(run, boat.sensors)
+    return PredictionResult(boat, run, predicted, replay_errors(predicted, run), horizons, kept_up)
 
 
 def sweep(

@@ -58,7 +58,7 @@ class Innovations(AbstractObjective):
         progress(f"neighbouring samples err alike; used are of {often}")
         dataset = thin_channels(self.problem.dataset, self.one_sample_in)
         self.problem = dataclasses.replace(self.problem, dataset=dataset)
-        return estimate(self.problem, free, *Start.at(fitted), progress=progress)
+        return estimate(self.problem, free, *Start.of_other_data(fitted), progress=progress)
 
     def _without_outliers(
         self, free: Names, start: Coordinates | None, progress: Progress

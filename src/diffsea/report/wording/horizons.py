@@ -73,12 +73,12 @@ def persistence_sentence(
         return ""
     name = known_quantities(row, ("predicted", "kept up"))[0]
     model, kept = (row[one][name] for one in ("predicted", "kept up"))
-    if model < kept:
+    if not model > WORSE * kept:
         return ""
     off, before = (two_digits(one, QUANTITIES[name]) for one in (model, kept))
     return (
-        f"the {name} {row['seconds']:g} s ahead is off by {off}, and by {before} if the boat went "
-        "on as before, whatever is ordered: the vessel file does not describe its motion"
+        f"the {name} {row['seconds']:g} s ahead is off by {off}, and would be by {before} if the "
+        "boat went on as before, whatever is ordered: the vessel file tells nothing of this motion"
     )
 
 
