@@ -289,17 +289,17 @@ def expected_squares(
     A[:, 3:6, 6:] += half
     A[:, 6:, 6:] = np.einsum("ri,ij->rij", gusts.decay, np.eye(3))
     starts, ends = _spans_of_rows(problem, horizon)
-    if not len(starts):
-        return np.full(2, np.nan)
     sensor, slow = np.exp(2 * np.asarray(noise.sensor)), np.exp(2 * np.asarray(noise.slow))
     measured = np.diag(np.concatenate([sensor, slow]))
     covariance, counts = np.asarray(run.covariance).copy(), np.ones(len(F), bool)
-    for rows in data.rows_of_runs:
+    for rows in filter(len, data.rows_of_runs):
         if np.asarray(data.known)[rows, 3:5].any(0).all():
             covariance[rows] = measured
         else:
             counts[rows] = is_settled(covariance[rows])
     starts, ends = starts[counts[starts]], ends[counts[starts]]
+    if not len(starts):
+        return np.full(2, np.nan)
     P = covariance[starts]
     for step in range(int((ends - starts).max(initial=0))):
         going = starts + step < ends
