@@ -145,6 +145,8 @@ def test_predictions_and_fits_tell_of_orders_that_act_as_a_limit():
     told = "25 % of it lies beyond and acts as the limit"
     assert told in " ".join(predict(boat, beyond).predicted.provenance)
     assert told not in " ".join(predict(boat, run(ORDERS["N"])).predicted.provenance)
+    measured = run(beyond.commanded["part"], executed=np.full(200, 100.0))  # no order is used
+    assert told not in " ".join(predict(boat, measured).predicted.provenance)
     said: list[str] = []
     document = {"hull": HULL, "thruster": [{"name": "part", "x": -2.0, **THRUSTERS["N"]}]}
     file = VesselFile(boat, document, "boat.toml")

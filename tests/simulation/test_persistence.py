@@ -1,5 +1,7 @@
 """Going on as before, against arcs and straight lines that are written out."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,17 @@ def test_speed_that_rises_is_missed_by_as_much_as_it_rose():
         assert errors["position"] == pytest.approx(0.05 * seconds**2)
         assert errors["u"] == pytest.approx(0.1 * seconds) and errors["heading"] == 0.0
     assert persistence_errors(run(T, 0, 0, 1, 0, 0), Sensors(), (200.0,)) == {}
+
+
+def test_an_antenna_that_swings_round_is_no_motion_of_the_boat():
+    """3 m ahead of the origin of a boat on a circle, as her file says."""
+    psi, rate = 0.1 * T, 0.1
+    x = 2.0 * np.sin(psi) / rate + 3.0 * np.cos(psi)
+    y = -2.0 * (np.cos(psi) - 1) / rate + 3.0 * np.sin(psi)
+    circle = run(x, y, psi, 2.0, 0.0, rate)
+    known = dataclasses.replace(Sensors(), lever_x=3.0)
+    assert persistence_errors(circle, known)[20.0]["position"] < 1e-9
+    assert persistence_errors(circle, Sensors())[20.0]["position"] > 3.0
 
 
 def test_a_model_that_is_no_better_is_told_with_both_errors():
