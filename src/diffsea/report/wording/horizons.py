@@ -56,7 +56,7 @@ def diverged_predictions(row: Record, models: Sequence[str]) -> str:
 def persistence_sentence(
     predicted: Mapping[float, Mapping[str, float]], kept_up: Mapping[float, Mapping[str, float]]
 ) -> str:
-    """A warning where a model is no better than going on as before, else nothing.
+    """A warning where a model is noticeably worse than going on as before, else nothing.
 
     At the horizon that is quoted, in the first quantity that was measured.
 
