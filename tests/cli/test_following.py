@@ -6,6 +6,7 @@ import shlex
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from diffsea.cli import main
@@ -20,7 +21,7 @@ NUMBERS |= {"--thrusters M": "--thrusters 1", "UNIT": "percent"}
 
 def log(orders, unit="us", source="column 8", form="csv") -> Any:
     """As much of a check as the commands are made from."""
-    commanded = dict.fromkeys(orders, None)
+    commanded = {name: np.array([0.0, 2.3417, -1.0]) for name in orders}
     scales = {name: SimpleNamespace(unit=unit) for name in orders if name != "rudder"}
     channel = SimpleNamespace(unit="", source=source)
     channels = {f"cmd_{name}": channel for name in orders}
@@ -55,6 +56,17 @@ def test_the_vessel_that_is_proposed_takes_the_orders_of_the_log(orders, unit, s
     wanted = {"us": "us", "normalised": "normalised", "own": "percent"}[unit]
     wanted = "N" if source == "left_force" else wanted
     assert {units[name] for name in orders} - {"rad", "rev/s"} <= {wanted}
+
+
+def test_the_ship_that_is_proposed_takes_the_largest_order(tmp_path):
+    new, _ = following_commands(
+        NO_SPAN, [(pathlib.Path("a.csv"), log(("rudder", "propeller"), "own"))], {}
+    )
+    assert new.endswith("--hull ship --shaft-speed 2.35")
+    words = shlex.split(new.replace("M ", "60 ", 1).replace("M ", "11 ", 1).replace("KG", "1.1e6"))
+    boat = tmp_path / "ship.toml"
+    assert main([words[1], str(boat), *words[3:]]) == 0
+    assert read_vessel(boat).vessel.servos["propeller"].upper == pytest.approx(2.35)
 
 
 def test_a_boat_that_no_drive_fits_is_left_alone():

@@ -188,7 +188,7 @@ class Terminal(io.StringIO):
     ("answers", "units"),
     [
         ("\n\nlong\n1.4\n0.93\n22\n\n\n0.66\n\n", {"port": "us", "starboard": "us"}),
-        ("\nship\n54\n11\n1.1e6\n6\n\n\n", {"propeller": "rev/s", "rudder": "rad"}),
+        ("\nship\n54\n11\n1.1e6\n6\n\n\n\n", {"propeller": "rev/s", "rudder": "rad"}),
         ("\nmonohull\n6\n2\n900\n\nrudder\n0.05\nN\n", {"motor": "N", "rudder": "rad"}),
     ],
 )

@@ -279,6 +279,11 @@ def test_a_file_says_of_each_derivative_what_it_rests_on_and_has_its_prior():
             {"motor": 100.0, "rudder": 0.0},
         ),
         (Known("ship", 54.0, 11.1, 1.1e6, 3.3), RudderDrive(), None),
+        (
+            Known("ship", 54.0, 11.1, 1.1e6, 3.3),
+            RudderDrive(shaft_speed=2.5),
+            {"propeller": 2.5, "rudder": 0.0},
+        ),
     ],
 )
 def test_full_ahead_holds_the_top_speed(known, drive, orders):

@@ -1,11 +1,14 @@
 """The commands that go on from a check: a vessel file, and a diagnosis of the logs by it."""
 
 import argparse
+import math
 import pathlib
 import re
 import shlex
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 
 if TYPE_CHECKING:
@@ -92,7 +95,20 @@ def _drive(one: "LogCheck") -> str:
         return f"--thrusters M{unit}"
     if orders == {"rudder", "motor"}:
         return f"--rudder{unit}"
-    return "--hull ship" if orders in ({"rudder", "propeller"}, {"rudder"}) else ""
+    if orders not in ({"rudder", "propeller"}, {"rudder"}):
+        return ""
+    largest = _largest_order(one, "propeller")
+    return f"--hull ship --shaft-speed {largest}" if largest else "--hull ship"
+
+
+def _largest_order(one: "LogCheck", channel: str) -> str:
+    """The largest size of an order, rounded up to three digits; empty where there is none."""
+    orders = (one.run.commanded or one.run.executed).get(channel, np.empty(0))
+    largest = float(np.nanmax(np.abs(orders), initial=0.0))
+    if largest == 0.0:
+        return ""
+    last = 10.0 ** (math.floor(math.log10(largest)) - 2)
+    return f"{math.ceil(largest / last - 1e-9) * last:g}"
 
 
 def _unit_option(one: "LogCheck") -> str:

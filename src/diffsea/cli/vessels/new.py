@@ -48,6 +48,7 @@ def register(commands: options.Commands) -> None:
         ("--thrusters", "M", "two thrusters, so many metres between their axes"),
         ("--thrust", "N", "full thrust ahead of each thruster, N (default: drag at top speed)"),
         ("--propeller", "M", "diameter of the propeller ahead of the rudder, m"),
+        ("--shaft-speed", "REV/S", "its largest speed, rev/s (default: holds the top speed)"),
     ):
         add_option(new, flag, metavar, options.positive, text)
     density = "of the water, kg/m^3"
@@ -208,6 +209,8 @@ def _drive(
     if parameters is not None and parameters.thrust_asymmetry > 1:
         common["astern_ratio"] = 1 / parameters.thrust_asymmetry
     if not is_steered:
+        if args.shaft_speed is not None:
+            raise UserError("--shaft-speed is that of a propeller ahead of a rudder; give --rudder")
         if parameters is not None and not has_sides:
             raise UserError(
                 f"{args.log} has one throttle (SERVOn_FUNCTION 70), not one to each side; "
@@ -217,8 +220,8 @@ def _drive(
         return Thrusters(spacing=args.thrusters, scales=scales, reversed=args.reversed, **common)
     area = None if args.rudder is True else args.rudder
     in_pulses = outline.form != "ship" or args.unit is not None or parameters is not None
-    if not in_pulses or args.propeller is not None:
-        return RudderDrive(area, args.propeller)
+    if not in_pulses or args.propeller is not None or args.shaft_speed is not None:
+        return RudderDrive(area, args.propeller, shaft_speed=args.shaft_speed)
     throttle = None if parameters is None else parameters.output(THROTTLE)
     scales = {} if throttle is None else {"motor": _scale(throttle, args.log)}
     told.append("the rudder is ordered in rad: a mapping turns pulse widths of steering into that")

@@ -44,6 +44,8 @@ def ask_what_is_missing(
         else:
             spacing = _ask("metres between the thrusters", "not known", _or_unknown)
             args.thrusters = spacing or 0.5 * args.beam
+    if args.hull == "ship" and args.thrusters is None and args.shaft_speed is None:
+        args.shaft_speed = _ask("largest shaft speed, rev/s", "not known", _or_unknown)
     if args.unit is None and args.log is None and args.hull != "ship":
         unit = options.OneOf(UNITS, "unit")
         args.unit = _ask(f"motors are ordered in ({', '.join(UNITS)})", "us", unit)

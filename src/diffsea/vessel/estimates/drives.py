@@ -9,6 +9,8 @@ import dataclasses
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from diffsea.errors import UserError, nearest
 from diffsea.vessel.actuators.thrust_curve import SCALES
 from diffsea.vessel.base import OrderUnit
@@ -155,12 +157,14 @@ class Thrusters:
 class RudderDrive:
     """A rudder behind a propeller (orders in rev/s), or behind one thruster of orders in a unit.
 
-    `area` (m^2) and `diameter` (m) are assumed where they are None.
+    `area` (m^2), `diameter` (m) and `shaft_speed` (rev/s, the largest ahead) are assumed where they
+    are None.
     """
 
     area: float | None = None
     diameter: float | None = None
     thruster: Thrusters | None = None  # in the propeller's place
+    shaft_speed: float | None = None
 
     def parts(
         self, outline: Outline, hull: Mapping[str, DerivativeEstimate], top_speed_known: bool
@@ -172,16 +176,18 @@ class RudderDrive:
         return [self._propeller(outline, hull), self._rudder(outline, "propeller")]
 
     def _propeller(self, outline: Outline, hull: Mapping[str, DerivativeEstimate]) -> Part:
-        D, why = self.diameter, "as given"
-        if D is None:
-            D, why = PROPELLER_SHARE * outline.draught, "assumed: 0.65 of the draught"
         wake = max(0.5 * outline.block_coefficient - 0.05, 0.0)
-        advance = (1 - wake) * outline.top_speed / D
-        drag = drag_at(outline.top_speed, hull)
-        square = drag / ((1 - THRUST_DEDUCTION) * outline.water_density * D**4)
-        k0, k1, k2 = K_T
-        rest = k2 * advance**2 - square
-        n = (-k1 * advance + math.sqrt((k1 * advance) ** 2 - 4 * k0 * rest)) / (2 * k0)
+        inflow = (1 - wake) * outline.top_speed
+        thrust = drag_at(outline.top_speed, hull) / ((1 - THRUST_DEDUCTION) * outline.water_density)
+        holds = f"holds the top speed of {outline.top_speed:.3g} m/s"
+        D, of_D = self.diameter, "as given"
+        n, of_n = self.shaft_speed, "rev/s, as given"
+        if D is None and n is not None:
+            D, of_D = _diameter(n, inflow, thrust), holds
+        elif D is None:
+            D, of_D = PROPELLER_SHARE * outline.draught, "assumed: 0.65 of the draught"
+        if n is None:
+            n, of_n = _shaft_speed(D, inflow, thrust), f"rev/s, {holds}"
         table: dict[str, object] = {
             "name": "propeller",
             "x": -0.47 * outline.length,
@@ -194,11 +200,11 @@ class RudderDrive:
         }
         reasons = {
             "x": "assumed",
-            "diameter": f"{why}; its prior stands for the thrust's",
+            "diameter": f"{of_D}; its prior stands for the thrust's",
             "k_T": "about Wageningen B4-55 at pitch ratio 0.9",
             "wake_fraction": "0.5 C_B - 0.05 (Taylor)",
             "thrust_deduction": "assumed",
-            "max_speed": f"rev/s, holds the top speed of {outline.top_speed:.3g} m/s",
+            "max_speed": of_n,
             "min_speed": "assumed",
         }
         return Part("propeller", table, reasons, {"diameter": 0.15})
@@ -248,6 +254,25 @@ def _interaction(outline: Outline) -> tuple[dict[str, object], dict[str, str]]:
         "gamma_R_starboard": gamma,
     }
     return table, dict.fromkeys(table, "Kijima et al. 1990") | {"x_H": "-0.45 L", "l_R": "-0.9 L"}
+
+
+def _shaft_speed(diameter: float, inflow: float, thrust: float) -> float:
+    """The shaft speed (rev/s) of n^2 D^4 K_T(J) = thrust / rho, with J = inflow / (n D)."""
+    k0, k1, k2 = K_T
+    return _largest_root((k0, k1 * inflow, k2 * inflow**2 - thrust / diameter**2)) / diameter
+
+
+def _diameter(shaft_speed: float, inflow: float, thrust: float) -> float:
+    """The diameter (m) of n^2 D^4 K_T(J) = thrust / rho, with J = inflow / (n D)."""
+    k0, k1, k2 = K_T
+    n = shaft_speed
+    return _largest_root((k0 * n**2, k1 * inflow * n, k2 * inflow**2, 0.0, -thrust))
+
+
+def _largest_root(coefficients: tuple[float, ...]) -> float:
+    """Of a polynomial that is negative at zero and grows in the end."""
+    roots = np.roots(coefficients)
+    return float(np.max(roots.real[np.abs(roots.imag) < 1e-9 * np.abs(roots)]))
 
 
 def drag_at(speed: float, hull: Mapping[str, DerivativeEstimate]) -> float:
