@@ -68,7 +68,7 @@ def deviance(material: Material, effect: str) -> float:
     """-2 log likelihood of the training runs, priors included, at the best fit with an effect."""
     # Once diffsea has set JAX up.
     from diffsea.identification.coordinates import free_by_default
-    from diffsea.identification.fit import estimate, estimate_surely
+    from diffsea.identification.fit import Start, estimate, estimate_surely
     from diffsea.identification.problem import make_problem
     from diffsea.vessel.effects import EFFECTS
 
@@ -78,7 +78,7 @@ def deviance(material: Material, effect: str) -> float:
     free = free_by_default(vessel)
     problem = make_problem(vessel, runs, free, (EFFECTS[effect],))
     rough = estimate(problem, free)
-    return estimate_surely(problem, (*free, effect), rough.coordinates, rough.noise).deviance
+    return estimate_surely(problem, (*free, effect), Start.of_other_data(rough)).deviance
 
 
 def readings_that_repeat(run: Run) -> float:

@@ -45,7 +45,7 @@ from diffsea import EFFECTS, Trajectory
 from diffsea.identification.coordinates import free_by_default
 from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.estimates import Estimate, parameter_records
-from diffsea.identification.fit import estimate
+from diffsea.identification.fit import Start, estimate
 from diffsea.identification.holdout import Split, held_out_coordinates, row_deviance, split_data
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.vessel.files import Table, build
@@ -172,7 +172,7 @@ def infer(document: Table, runs: dict[str, Trajectory], dropped: tuple[str, ...]
 
     data = split_data(problem_of, train, test, True)
     nominal = estimate(data.train, free)
-    informed = estimate(data.train, free, _given(data.train, train))
+    informed = estimate(data.train, free, Start(_given(data.train, train)))
     blind = estimate(data.train, (*free, "wind"))
     found = dict(zip(TRAIN, parameter_records(data.train, blind, "wind"), strict=False))
     for part in (HELD_OUT, REST):
@@ -208,7 +208,7 @@ def _wind_of(problem: Problem, fitted: Estimate, parameters: int) -> Estimate:
     """The wind of runs that were not fitted, everything else as it was."""
     start = np.zeros(problem.layout.size)
     start[:parameters] = fitted.coordinates[:parameters]
-    return estimate(problem, ("wind",), start, fitted.noise, rounds=4, fixed_noise=True)
+    return estimate(problem, ("wind",), Start(start, fitted.noise), rounds=4, fixed_noise=True)
 
 
 def _gains(

@@ -20,7 +20,7 @@ from diffsea.diagnosis.bootstrap import (
 )
 from diffsea.diagnosis.screening import screen
 from diffsea.diagnosis.verdict import diagnose
-from diffsea.identification.fit import estimate
+from diffsea.identification.fit import Start, estimate
 from diffsea.identification.problem import make_problem
 from diffsea.identification.resimulation import resimulate
 
@@ -60,7 +60,7 @@ def test_every_data_set_is_fitted_and_screened(problem):
     screenings = []
     for _ in range(5):
         another = resimulate(problem, nominal, rng)
-        fitted = estimate(another, FREE, nominal.coordinates, nominal.noise)
+        fitted = estimate(another, FREE, Start.of_other_data(nominal))
         screenings.append(screen(another, fitted))
     assert drawn.strongest.tolist() == sorted(one.p_value for one in screenings)
     assert drawn.located.tolist() == sorted(one.located_p_value for one in screenings)

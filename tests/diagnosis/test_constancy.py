@@ -9,7 +9,7 @@ from tests.runs import random_steps
 
 from diffsea import EFFECTS, Trajectory
 from diffsea.diagnosis.constancy import TOLERATED_SHARE, Constancy, constancy_test
-from diffsea.identification.fit import estimate
+from diffsea.identification.fit import Start, estimate
 from diffsea.identification.problem import make_problem
 
 
@@ -31,7 +31,7 @@ def judged(run: Trajectory, bias: np.ndarray):
     biased = dataclasses.replace(run, r=run.r + bias)
     problem = make_problem(usv(), [biased], FREE, (EFFECTS["gyro-bias"],))
     without = estimate(problem, FREE)
-    fitted = estimate(problem, (*FREE, "gyro-bias"), without.coordinates)
+    fitted = estimate(problem, (*FREE, "gyro-bias"), Start(without.coordinates))
     return constancy_test(problem, fitted, "gyro-bias", without.deviance - fitted.deviance)
 
 
@@ -94,7 +94,7 @@ def test_a_law_of_several_numbers_has_one_size_where_their_proportion_is_the_sam
     without = estimate(problem, FREE)
     start = np.array(without.coordinates)
     start[problem.layout.indices((name,))] = begin
-    fitted = estimate(problem, (*FREE, name), start)
+    fitted = estimate(problem, (*FREE, name), Start(start))
     found = constancy_test(problem, fitted, name, without.deviance - fitted.deviance)
     assert found.degrees in (3, 15)
     assert found.holds == found.same_in_runs == (where == "in both runs")

@@ -207,9 +207,9 @@ def test_a_model_without_an_effect_is_the_better_of_two_fits(monkeypatch, other,
         assert scales is OTHER_NOISE
         return SimpleNamespace(deviance=-9.0 if np.array_equal(coordinates, likeliest) else np.nan)
 
-    def estimated(_, free, start, scales, left_out) -> Estimate:
+    def estimated(_, free, start) -> Estimate:
         assert free == ("X_u", "N_r", "wind")
-        asked.append((start, scales))
+        asked.append((start.coordinates, start.noise))
         return ends[len(asked) - 1]
 
     monkeypatch.setattr(fit, "filter_at", deviance)
@@ -250,7 +250,7 @@ def test_a_part_that_converged_is_a_start_for_the_whole_and_for_nothing_else(mon
         given[len(given)] = [start.coordinates for start in plainer]
         return fitted
 
-    monkeypatch.setattr(refits, "estimate", lambda _, free, *start: ends[free[-1]])
+    monkeypatch.setattr(refits, "estimate", lambda _, free, start: ends[free[-1]])
     monkeypatch.setattr(refits, "settled", settle)
     monkeypatch.setattr(refits, "judge_fitted", lambda data, current, fitted, seen: seen)
     monkeypatch.setattr(refits, "on_every_core", lambda function, items: list(map(function, items)))

@@ -30,7 +30,7 @@ from diffsea.diagnosis.selection import (
     withdraw_outdone,
 )
 from diffsea.diagnosis.verdict import believe_audit, explain
-from diffsea.identification.fit import estimate
+from diffsea.identification.fit import Start, estimate
 from diffsea.identification.free_predictions import relative_losses
 from diffsea.identification.holdout import exchanged_fit, split_data
 from diffsea.identification.problem import make_problem
@@ -244,7 +244,7 @@ def test_an_effect_is_asked_for_again_with_the_constancy_that_it_has_by_now(data
 def test_an_effect_that_others_make_needless_is_dropped(data, found):
     """A lever arm that was never there, accepted beside the two causes."""
     names = (*FREE, "lever-arm", *accepted_names(found))
-    both = estimate(data.train, names, found.final.coordinates, found.final.noise)
+    both = estimate(data.train, names, Start.of_other_data(found.final))
     lever = hypothesis("lever-arm", 50.0, STEADY)
     lever = dataclasses.replace(lever, estimate=both, without=found.nominal)
     needless = AcceptedEffect(lever, ShortList((lever,), 11.0))
@@ -291,11 +291,11 @@ def test_a_cause_that_comes_out_worse_is_begun_again_at_the_model_without_it(
     """Fits that begin with any size of it get stuck."""
     nominal, place = found.nominal, data.train.layout.indices(("gyro-bias",))
 
-    def stuck(problem, free, start, noise, left_out, **more):
-        assert np.array_equal(left_out, nominal.left_out)
-        fitted = estimate(problem, free, start, noise, left_out, **more)
+    def stuck(problem, free, start, **more):
+        assert np.array_equal(start.left_out, nominal.left_out)
+        fitted = estimate(problem, free, start, **more)
         worse = dataclasses.replace(fitted, deviance=nominal.deviance + 50)
-        return worse if np.any(start[place]) else fitted
+        return worse if np.any(start.coordinates[place]) else fitted
 
     monkeypatch.setattr(refits, "estimate", stuck)
     candidate = found.nominal_screening.candidates["gyro-bias"]

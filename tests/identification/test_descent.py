@@ -290,7 +290,7 @@ def test_noise_that_the_filter_refuses_is_tried_again_in_the_next_round(problem,
         return RefinedNoise(Noise.of(np.asarray(noise.scales) + 5.0), curvature)  # far worse
 
     monkeypatch.setattr(fit, "refine_noise", refused)
-    fit.estimate(problem, FREE, problem.start()[0], problem.start()[1], rounds=2)
+    fit.estimate(problem, FREE, fit.Start(*problem.start()), rounds=2)
     assert len(asked) == 2
 
 
@@ -302,7 +302,7 @@ def test_a_round_that_may_be_the_last_borrows_no_curvature(problem, monkeypatch)
         return refine_noise(run, times, noise, prior, steps, curvature)
 
     monkeypatch.setattr(fit, "refine_noise", refine)
-    found = fit.estimate(problem, FREE, problem.start()[0], problem.start()[1])
+    found = fit.estimate(problem, FREE, fit.Start(*problem.start()))
     assert found.outcome is fit.FitOutcome.CONVERGED
     borrowed = {steps: {one for count, one in asked if count == steps} for steps, _ in asked}
     assert borrowed.pop(fit.FIRST_NOISE_STEPS) == {False}

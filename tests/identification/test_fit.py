@@ -21,7 +21,7 @@ from diffsea.identification.estimates import FitOutcome, parameter_estimates, po
 from diffsea.identification.filter.covariance import Noise, gust_propagation, measurement_update
 from diffsea.identification.filter.kalman import deviance, first_variance, whitened_innovations
 from diffsea.identification.filter.noise_fit import RowTimes, rerun_linearised
-from diffsea.identification.fit import compile_programs, estimate, normalised_rms
+from diffsea.identification.fit import Start, compile_programs, estimate, normalised_rms
 from diffsea.identification.multistart import effect_starts
 from diffsea.identification.problem import make_problem
 from diffsea.identification.residual import (
@@ -388,7 +388,7 @@ def test_a_fit_cannot_end_in_an_impossible_vessel(document, recordings):
         assert np.isfinite(float(vessel.rigid_body.mass)) == possible
         assert np.isfinite(filter_at(problem, start, noise).deviance) == possible
     start[place] = 3.0
-    fitted = estimate(problem, (*HULL, effect.name), start)
+    fitted = estimate(problem, (*HULL, effect.name), Start(start))
     vessel, _ = vessel_at(problem.base, problem.layout, fitted.coordinates)
     assert bool(vessel.has_inertia())
 

@@ -11,7 +11,7 @@ import diffsea
 from diffsea.budget import on_every_core, time_budget
 from diffsea.identification import fit, kept_fits
 from diffsea.identification.estimates import FitOutcome
-from diffsea.identification.fit import estimate
+from diffsea.identification.fit import Start, estimate
 from diffsea.identification.kept_fits import fits_kept
 from diffsea.progress import PartialProgress
 
@@ -105,7 +105,7 @@ def test_another_fit_is_made_anew(problem, calls, tmp_path):
     heavier = dataclasses.replace(problem.base, rigid_body=dataclasses.replace(
         problem.base.rigid_body, mass=problem.base.rigid_body.mass * (1 + 1e-12)))  # fmt: skip
     priors = tuple(dataclasses.replace(one, spread=0.9) for one in problem.layout.parameters)
-    noise = problem.start()[1]
+    mean, noise = problem.start()
     start = np.full(problem.layout.size, 1e-9)
     with fits_kept(tmp_path):
         estimate(dataclasses.replace(problem, dataset=data), FREE, rounds=1)
@@ -113,13 +113,14 @@ def test_another_fit_is_made_anew(problem, calls, tmp_path):
         layout = dataclasses.replace(problem.layout, parameters=priors)
         estimate(dataclasses.replace(problem, layout=layout), FREE, rounds=1)
         estimate(problem, FREE[:1], rounds=1)
-        estimate(problem, FREE, start, rounds=1)
-        estimate(problem, FREE, noise=noise, rounds=1)
+        estimate(problem, FREE, Start(start), rounds=1)
+        estimate(problem, FREE, Start(mean, noise), rounds=1)
+        estimate(problem, FREE, Start(mean, noise, start), rounds=1)
         estimate(problem, FREE, rounds=1)
         estimate(problem, FREE, rounds=1, fixed_noise=True)
-        assert len(calls) == 9
+        assert len(calls) == 10
         estimate(problem, FREE, rounds=1)
-        assert len(calls) == 9
+        assert len(calls) == 10
 
 
 def test_work_that_ends_or_fails_leaves_nothing_and_what_others_put_there(problem, tmp_path):

@@ -22,7 +22,7 @@ from diffsea import EFFECTS, Trajectory
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun, deviance, measurement_jacobian
 from diffsea.identification.filter.latency import shown_samples
-from diffsea.identification.fit import estimate
+from diffsea.identification.fit import Start, estimate
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.vessel.files import build
 
@@ -275,7 +275,7 @@ def test_fixes_without_velocities_are_late_by_the_same_wherever_a_fit_begins(lat
     for begin in (0.1, 3.0):
         start = np.zeros(problem.layout.size)
         start[-1] = begin / size
-        fitted = estimate(problem, free, start)
+        fitted = estimate(problem, free, Start(start))
         found.append((fitted.coordinates[-1] * size, fitted.stds[-1] * size))
     for value, std in found:
         assert abs(value - late) < 3 * std < 0.15

@@ -15,7 +15,7 @@ from tests.runs import random_steps
 from diffsea import EFFECTS
 from diffsea.diagnosis.screening import screen
 from diffsea.diagnosis.starts import first_guess
-from diffsea.identification.fit import estimate
+from diffsea.identification.fit import Start, estimate
 from diffsea.identification.problem import make_problem
 from diffsea.vessel.files import build
 
@@ -45,7 +45,7 @@ def test_a_step_is_found_where_it_is_and_fitted_to_its_size(name):
     place = problem.layout.indices((name,))
     start[place] = first_guess(found[name])
     assert start[place][1] * sizes[1] == pytest.approx(table["time"], abs=0.6)
-    fit = estimate(problem, (*FREE, name), start)
+    fit = estimate(problem, (*FREE, name), Start(start))
     std = fit.stds[list(fit.index).index(place[0])] * sizes[0]
     size, time = fit.coordinates[place] * sizes
     assert size == pytest.approx(table[effect.leading.key], abs=4 * std)

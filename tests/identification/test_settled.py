@@ -31,8 +31,8 @@ def restarts(monkeypatch):
     """The starts of fits that are asked for, and how those end."""
     asked, ends = [], []
 
-    def estimate(problem, free, start, noise, left_out, progress):
-        asked.append(start)
+    def estimate(problem, free, start, progress):
+        asked.append(start.coordinates)
         return ends[len(asked) - 1]
 
     monkeypatch.setattr(fit, "estimate", estimate)

@@ -13,7 +13,7 @@ from tests.runs import random_steps
 from diffsea import Trajectory, read_recording, read_vessel
 from diffsea.identification.filter.kalman import first_variance
 from diffsea.identification.filter.noise_fit import RowTimes, refine_noise
-from diffsea.identification.fit import estimate, estimate_surely, normalised_rms
+from diffsea.identification.fit import Start, estimate, estimate_surely, normalised_rms
 from diffsea.identification.problem import make_problem
 from diffsea.vessel.files import build
 
@@ -85,7 +85,7 @@ def test_a_fit_from_afar_ends_at_the_same_optimum(boat, runs):
     sure = estimate_surely(problem, FREE)
     far = sure.coordinates.copy()
     far[sure.index] += 1.0
-    again = estimate_surely(problem, FREE, far)
+    again = estimate_surely(problem, FREE, Start(far))
     assert again.deviance == pytest.approx(sure.deviance, abs=1.0)
 
 

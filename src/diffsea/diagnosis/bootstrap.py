@@ -16,7 +16,7 @@ from diffsea.budget import current_budget
 from diffsea.diagnosis.screening import Screening, screen
 from diffsea.errors import UserError
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.fit import estimate
+from diffsea.identification.fit import Start, estimate
 from diffsea.identification.problem import Problem
 from diffsea.identification.resimulation import resimulate
 from diffsea.progress import PartialProgress, Progress, no_progress
@@ -76,7 +76,7 @@ def bootstrap(
             return NO_BOOTSTRAP
         message = f"simulating {number + 1} of {draws} data sets"
         progress(PartialProgress(message, number / draws, f"simulating {draws} data sets"))
-        fitted = estimate(drawn, nominal.free, nominal.coordinates, nominal.noise)
+        fitted = estimate(drawn, nominal.free, Start.of_other_data(nominal))
         screenings.append(screen(drawn, fitted))
     return Bootstrap(
         np.sort([one.p_value for one in screenings]),

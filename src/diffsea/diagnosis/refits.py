@@ -154,7 +154,7 @@ def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candida
     def refit(start: np.ndarray) -> Estimate:
         free = (*current.free, name)
         begin = Start.beside(current, start)
-        return estimate(problem, free, *begin, rounds=4, fixed_noise=True)
+        return estimate(problem, free, begin, rounds=4, fixed_noise=True)
 
     def cost(one: Estimate) -> float:
         return one.deviance if np.isfinite(one.deviance) else np.inf
@@ -174,7 +174,7 @@ def refit_fully(data: Split, current: Estimate, asked: Sequence[Refit]) -> list[
 
     def fit(one: Refit) -> Estimate:
         start = likeliest_start(problem, one.starts)
-        return estimate(problem, (*current.free, one.effect), *start)
+        return estimate(problem, (*current.free, one.effect), start)
 
     first = on_every_core(fit, asked)
     ends = {one.effect: fitted for one, fitted in zip(asked, first, strict=True)}
@@ -220,7 +220,7 @@ def refit_without(
     bare[problem.layout.indices(tuple(names))] = 0.0
     others = Start.beside(known, bare), start_with_effects_of(problem, known, current, free)
     starts = Start.beside(current, bare), likeliest_start(problem, others)
-    fits = on_every_core(lambda start: estimate_surely(problem, free, *start), starts)
+    fits = on_every_core(lambda start: estimate_surely(problem, free, start), starts)
     return min(fits, key=lambda one: np.nan_to_num(one.deviance, nan=np.inf))
 
 

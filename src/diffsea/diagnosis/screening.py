@@ -195,7 +195,7 @@ def locate_by_noise_of(better: Estimate, problem: Problem, fitted: Estimate) -> 
     """
     correlation = linearise_model(problem, better).projection(better.free).correlation
     start = Start(fitted.coordinates, better.noise, fitted.left_out)
-    fitted = estimate(problem, fitted.free, *start, rounds=6, fixed_noise=True)
+    fitted = estimate(problem, fitted.free, start, rounds=6, fixed_noise=True)
     model = linearise_model(problem, fitted)
     projection = model.projection(fitted.free, correlation)
     cells, unnamed = locate_forces(model, projection)

@@ -106,7 +106,7 @@ def diagnose(
         often = ", ".join(f"{name} every {number}" for name, number in seldom.items())
         progress(f"neighbouring samples err alike; used are of {often}")
         data = data.thinned(seldom)
-    nominal = estimate_surely(data.train, free, *Start.of_other_data(rough), progress=progress)
+    nominal = estimate_surely(data.train, free, Start.of_other_data(rough), progress=progress)
     progress("asking which causes could explain what is left")
     screening = screen(data.train, nominal)
     null = bootstrap(data.train, nominal, draws, progress) if draws else NO_BOOTSTRAP

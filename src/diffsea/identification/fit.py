@@ -48,11 +48,17 @@ STALLED_GAIN = 1.0  # a step that promised so much and was refused: one standard
 
 
 class Start(NamedTuple):
-    """Where a fit may begin."""
+    """Where a fit may begin.
+
+    Attributes:
+        coordinates: those that are not free included.
+        noise: as expected beforehand if None.
+        left_out: of the slope there by gains held fixed, as of an `Estimate`; nothing if None.
+    """
 
     coordinates: Coordinates
-    noise: Noise
-    left_out: Coordinates | None = None  # as of an `Estimate`
+    noise: Noise | None = None
+    left_out: Coordinates | None = None
 
     @classmethod
     def at(cls, fitted: Estimate) -> "Start":
@@ -115,30 +121,32 @@ def noise_at(problem: Problem, coordinates: Coordinates, noise: Noise | None = N
 def estimate(
     problem: Problem,
     free: tuple[str, ...],
-    start: Coordinates | None = None,
-    noise: Noise | None = None,
-    left_out: Coordinates | None = None,
+    start: Start | None = None,
     rounds: int = ROUNDS,
     fixed_noise: bool = False,
     progress: Progress = no_progress,
 ) -> Estimate:
-    """Fit the free coordinates by name (parameters and effects), from `start`.
+    """Fit the free coordinates by name (parameters and effects).
 
     Where fits are kept (`kept_fits`), one that was made before is taken from there.
 
     Arguments:
-        start: coordinates to begin at, those that are not free included; the prior mean if None.
-        noise: the noise to begin with; as expected beforehand if None.
-        left_out: of the slope there by gains held fixed; nothing if None.
-        fixed_noise: whether it stays as it is.
+        start: where to begin; at the prior mean if None.
+        fixed_noise: whether the noise stays as it is there.
     """
-    coordinates, first = problem.start()
-    coordinates = coordinates if start is None else np.array(start, float)
-    noise, steps = (first, FIRST_NOISE_STEPS) if noise is None else (noise, NOISE_STEPS)
-    left_out = np.zeros(len(coordinates)) if left_out is None else left_out
-    settings = free, coordinates, noise, left_out, steps, rounds, fixed_noise
+    start = Start(problem.start()[0]) if start is None else start
+    steps = FIRST_NOISE_STEPS if start.noise is None else NOISE_STEPS
+    settings = free, *_complete(problem, start), steps, rounds, fixed_noise
     search = functools.partial(_search, problem, *settings)
     return kept_fit(problem, settings, search, progress)
+
+
+def _complete(problem: Problem, start: Start) -> tuple[Coordinates, Noise, Coordinates]:
+    """What a start says, and what is usual where it says nothing."""
+    coordinates = np.array(start.coordinates, float)
+    noise = problem.start()[1] if start.noise is None else start.noise
+    left_out = np.zeros(len(coordinates)) if start.left_out is None else start.left_out
+    return coordinates, noise, left_out
 
 
 def _search(
@@ -212,7 +220,7 @@ def likeliest_start(problem: Problem, starts: Sequence[Start]) -> Start:
     """The one that is most likely, by the filter's run there."""
     if len(starts) == 1:
         return starts[0]
-    points = [filter_at(problem, one.coordinates, one.noise) for one in starts]
+    points = [filter_at(problem, *_complete(problem, one)[:2]) for one in starts]
     found = np.nan_to_num([one.deviance for one in points], nan=np.inf)
     return starts[int(np.argmin(found))]
 
@@ -220,13 +228,11 @@ def likeliest_start(problem: Problem, starts: Sequence[Start]) -> Start:
 def estimate_surely(
     problem: Problem,
     free: tuple[str, ...],
-    start: Coordinates | None = None,
-    noise: Noise | None = None,
-    left_out: Coordinates | None = None,
+    start: Start | None = None,
     progress: Progress = no_progress,
 ) -> Estimate:
     """`estimate`, `settled`."""
-    fitted = estimate(problem, free, start, noise, left_out, progress=progress)
+    fitted = estimate(problem, free, start, progress=progress)
     return settled(problem, fitted, (), progress)
 
 
@@ -252,7 +258,7 @@ def settled(
     if plainer and best.outcome is FitOutcome.STALLED:
         start = likeliest_start(problem, (stuck, *plainer))
         if start is not stuck:
-            best = estimate(problem, free, *start, progress=progress)
+            best = estimate(problem, free, start, progress=progress)
             if best.path[0] - best.deviance < STALLED_GAIN:
                 return dataclasses.replace(best, outcome=FitOutcome.CONVERGED)
     for _ in range(RESTARTS):
@@ -264,7 +270,7 @@ def settled(
         elsewhere = best.coordinates.copy()
         root = np.linalg.cholesky(best.covariance)
         elsewhere[best.index] += RESTART_DISTANCE * root @ rng.standard_normal(len(best.index))
-        other = estimate(problem, free, *Start.beside(best, elsewhere), progress=progress)
+        other = estimate(problem, free, Start.beside(best, elsewhere), progress=progress)
         is_same = abs(other.deviance - best.deviance) < STALLED_GAIN
         best = min(best, other, key=lambda one: np.nan_to_num(one.deviance, nan=np.inf))
         if is_same:

@@ -18,7 +18,7 @@ from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
 from diffsea.identification.estimates import Estimate, ParameterRecord, parameter_records
 from diffsea.identification.filter.correlated_errors import thin_channels
 from diffsea.identification.filter.covariance import Noise
-from diffsea.identification.fit import estimate, noise_at
+from diffsea.identification.fit import Start, estimate, noise_at
 from diffsea.identification.problem import Coordinates, Problem, make_problem, vessel_in_environment
 from diffsea.recordings.conditioning import cut
 from diffsea.statistics import block_sums
@@ -214,9 +214,8 @@ def held_out_coordinates(split: Split, fitted: Estimate) -> Coordinates:
             own.append(effect.name)
     if not own:
         return out
-    return estimate(
-        split.head, tuple(own), start=out, noise=fitted.noise, rounds=4, fixed_noise=True
-    ).coordinates
+    start = Start(out, fitted.noise)
+    return estimate(split.head, tuple(own), start, rounds=4, fixed_noise=True).coordinates
 
 
 def row_deviance(
@@ -268,7 +267,7 @@ def exchanged_fit(split: Split, model: Estimate) -> Estimate:
     """
     if has_own_environment(split, model):
         raise ValueError("runs with environments of their own cannot change places")
-    fit = lambda: estimate(split.exchanged.train, model.free, model.coordinates, model.noise)
+    fit = lambda: estimate(split.exchanged.train, model.free, Start.of_other_data(model))
     return split._exchanged_fits.of(model, fit)
 
 

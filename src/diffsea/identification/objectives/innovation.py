@@ -58,13 +58,14 @@ class Innovations(AbstractObjective):
         progress(f"neighbouring samples err alike; used are of {often}")
         dataset = thin_channels(self.problem.dataset, self.one_sample_in)
         self.problem = dataclasses.replace(self.problem, dataset=dataset)
-        return estimate(self.problem, free, *Start.of_other_data(fitted), progress=progress)
+        return estimate(self.problem, free, Start.of_other_data(fitted), progress=progress)
 
     def _without_outliers(
         self, free: Names, start: Coordinates | None, progress: Progress
     ) -> Estimate:
         """A fit, and the problem without the lone samples that are impossible under it."""
-        fitted = estimate(self.problem, free, start, progress=progress)
+        begin = None if start is None else Start(start)
+        fitted = estimate(self.problem, free, begin, progress=progress)
         for _ in range(OUTLIER_ROUNDS):
             lone = self._lone_outliers(fitted)
             if not lone.any():
@@ -76,12 +77,12 @@ class Innovations(AbstractObjective):
                 if count:
                     self.outliers[name] = self.outliers.get(name, 0) + int(count)
             progress(f"{int(lone.sum())} outliers left out")
-            fitted = estimate(self.problem, free, *Start.at(fitted), progress=progress)
+            fitted = estimate(self.problem, free, Start.at(fitted), progress=progress)
         return fitted
 
     def refit(self, fitted: Estimate, free: Names, start: Coordinates) -> Estimate:
         """Fit with the noise of an earlier fit."""
-        return estimate(self.problem, free, *Start.beside(fitted, start), fixed_noise=True)
+        return estimate(self.problem, free, Start.beside(fitted, start), fixed_noise=True)
 
     def cost(self, coordinates: Coordinates, fitted: Estimate) -> float:
         """-2 log posterior with the noise of a fit."""
@@ -98,7 +99,8 @@ class Innovations(AbstractObjective):
         _, noise = problem.start()
 
         def one(start: Coordinates) -> tuple[Coordinates, float]:
-            end = estimate(problem, free, start, noise, rounds=EXPLORING_ROUNDS, fixed_noise=True)
+            begin = Start(start, noise)
+            end = estimate(problem, free, begin, rounds=EXPLORING_ROUNDS, fixed_noise=True)
             return end.coordinates, end.deviance
 
         ends, costs = zip(*on_every_core(one, starts), strict=True)
