@@ -14,7 +14,7 @@ from scipy.special import expit
 from tests.diagnosis.small import DOCUMENT, hypothesis, judged, linear_estimate
 from tests.runs import varied
 
-from diffsea import EFFECTS, Trajectory, UserError
+from diffsea import EFFECTS, Trajectory
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList
 from diffsea.diagnosis.experiment import (
     DECISIVE,
@@ -29,7 +29,12 @@ from diffsea.identification.estimates import posterior_estimate
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.problem import make_problem
 from diffsea.identification.uncertainty import design
-from diffsea.identification.uncertainty.design import LIBRARY, SECONDS, simulate_manoeuvre
+from diffsea.identification.uncertainty.design import (
+    LIBRARY,
+    SECONDS,
+    NoThrottleError,
+    simulate_manoeuvre,
+)
 from diffsea.scales import time_scale
 from diffsea.vessel.files import build
 
@@ -96,7 +101,7 @@ def test_a_vessel_that_its_model_leaves_without_thrust_gets_no_manoeuvre(documen
     ]
     endless = build(document | {"thruster": thrusters})
     monkeypatch.setattr(design, "throttle_for", lambda *_: np.nan)
-    with pytest.raises(UserError, match="no limit to its throttle"):
+    with pytest.raises(NoThrottleError, match="no limit to its throttle"):
         simulate_manoeuvre(endless, LIBRARY["zigzag"])
     train = trained(endless, ("current", "wind"))
     wind, current = (

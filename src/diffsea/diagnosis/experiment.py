@@ -15,7 +15,6 @@ from jaxtyping import Float
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.score import LinearisedModel
 from diffsea.diagnosis.verdict import Diagnosis
-from diffsea.errors import UserError
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import (
     Problem,
@@ -76,7 +75,7 @@ def next_experiment(diagnosis: Diagnosis) -> Experiment | None:
                     )
                     for manoeuvre, schedule in LIBRARY.items()
                 }
-            except UserError:
+            except design.NoThrottleError:
                 return None
             return choose_manoeuvre(train.base, one.effect, two.effect, evidence)
     return None

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from diffsea.kinematics import to_earth
-from diffsea.simulation.replay import HORIZONS, rms_errors, spans_ahead
+from diffsea.simulation.replay import HORIZONS, horizons_within, rms_errors, spans_ahead
 from diffsea.simulation.sensed_motion import has_sample_near, true_motion
 from diffsea.trajectory import MOTION_CHANNELS, Samples, Trajectory
 from diffsea.vessel.sensors import Sensors
@@ -31,14 +31,11 @@ def persistence_errors(
     known = {c: has_sample_near(sensors, run, c) for c in MOTION_CHANNELS}
     begin, end = spans_ahead(t, horizons, spacing)
     errors = {}
-    for k, horizon in enumerate(horizons):
-        if t[0] + horizon > t[-1]:
-            continue
-        counted = end[:, k] >= 0
+    for k, horizon, counted in horizons_within(t, horizons, end):
         start, at = begin[counted], end[counted, k]
         missed = [_missed(motion, known, t, start, at, turning) for turning in (1.0, 0.0)]
         smaller = {name: min(one[name] for one in missed) for name in missed[0]}
-        errors[float(horizon)] = {**smaller, "starts": len(start)}
+        errors[horizon] = {**smaller, "starts": len(start)}
     return errors
 
 

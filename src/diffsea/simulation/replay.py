@@ -4,14 +4,14 @@ Nothing is corrected on the way: a replay shows how errors of a model grow, over
 run (`replay`, `replay_errors`) and from many starts along it (`horizon_errors`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.errors import UserError
 from diffsea.kinematics import wrap
@@ -191,10 +191,7 @@ def prediction_misses(
     length = float(vessel.rigid_body.length)
     known = {c: has_sample_near(vessel.sensors, inputs.run, c) for c in MOTION_CHANNELS}
     found = {}
-    for k, horizon in enumerate(horizons):
-        if t[0] + horizon > t[-1]:
-            continue
-        counted = end[:, k] >= 0
+    for k, horizon, counted in horizons_within(t, horizons, end):
         at = end[counted, k]
         ahead = {c: getattr(reached, c)[counted, k] for c in MOTION_CHANNELS}
         sound = plausible_motion(length, *(ahead[c] for c in "uvr")) & np.all(
@@ -204,7 +201,7 @@ def prediction_misses(
         for c in MOTION_CHANNELS:
             missed = np.where(sound, ahead[c] - motion[c][at], np.inf)
             misses[c] = np.where(known[c][at], missed, np.nan)
-        found[float(horizon)] = misses
+        found[horizon] = misses
     return found
 
 
@@ -218,6 +215,15 @@ def spans_ahead(
     after = np.searchsorted(t, wanted).clip(1, len(t) - 1)
     end = np.where(wanted - t[after - 1] < t[after] - wanted, after - 1, after)
     return begin, np.where(np.abs(t[end] - wanted) <= near, end, -1)
+
+
+def horizons_within(
+    t: Samples, horizons: Sequence[float], end: Int[np.ndarray, "start horizon"]
+) -> Iterator[tuple[int, float, Bool[np.ndarray, "start"]]]:
+    """The horizons (s) for which times are long enough, by number, and which starts reach a row."""
+    for number, horizon in enumerate(horizons):
+        if t[0] + horizon <= t[-1]:
+            yield number, float(horizon), end[:, number] >= 0
 
 
 def with_heel(environment: Environment, heel: Scalar) -> Environment:

@@ -71,6 +71,10 @@ class NextManoeuvre:
         return dataclasses.asdict(self) | {"message": self.sentence}
 
 
+class NoThrottleError(UserError):
+    """A vessel without a limit to its throttle, which none brings to a speed to manoeuvre at."""
+
+
 def next_manoeuvre(problem: Problem, fitted: Estimate) -> NextManoeuvre | None:
     """The manoeuvre of the library with the largest gain of information on what was fitted.
 
@@ -88,7 +92,7 @@ def next_manoeuvre(problem: Problem, fitted: Estimate) -> NextManoeuvre | None:
     for manoeuvre, schedule in LIBRARY.items():
         try:
             recording = simulate_manoeuvre(vessel, schedule, measured)
-        except UserError:
+        except NoThrottleError:
             return None
         J = manoeuvre_information(problem, recording, fitted, free)
         root = np.linalg.cholesky(covariance)
@@ -120,6 +124,9 @@ def simulate_manoeuvre(
     """What the vessel would record in a manoeuvre, without noise, from rest.
 
     `measured` says which motion channels are recorded; all of them by default.
+
+    Raises:
+        NoThrottleError: as `manoeuvre_orders`.
     """
     seconds = SECONDS * time_scale(float(vessel.rigid_body.length))
     t, orders = manoeuvre_orders(vessel, schedule, seconds)
@@ -140,7 +147,7 @@ def manoeuvre_orders(
     Full throttle is, for a vessel without a limit, the one for Froude number 0.3.
 
     Raises:
-        UserError: by its model no throttle brings the vessel there.
+        NoThrottleError: by its model none brings the vessel there.
     """
     length = float(vessel.rigid_body.length)
     time = time_scale(length)
@@ -150,7 +157,7 @@ def manoeuvre_orders(
     if not np.isfinite(full):
         full = float(throttle_for(vessel, froude_speed(length, UNLIMITED_FROUDE)))
     if not np.isfinite(full):
-        raise UserError(
+        raise NoThrottleError(
             f"{vessel.name} has no limit to its throttle, and by this model none brings it to "
             f"Froude number {UNLIMITED_FROUDE:g}: give its propulsion a limit in the vessel file"
         )
