@@ -14,7 +14,7 @@ from diffsea.recordings import audit
 from diffsea.recordings.geodesy import local_position
 from diffsea.recordings.logs import contents, is_log
 from diffsea.recordings.logs.reading import LogChannel, join_channels
-from diffsea.recordings.logs.streams import euler_angles
+from diffsea.recordings.rotations import euler_angles
 
 
 SECOND = 1_000_000_000

@@ -198,8 +198,8 @@ def test_actuation_and_batteries_are_no_velocity_where_none_was_logged(runs, tmp
 def test_orders_are_told_from_what_was_realised(runs, tmp_path):
     table = runs["random-fast"].rename(columns={"t": "time"})
     smooth = table["cmd_port"].ewm(span=12).mean()
-    table = table.rename(columns={"cmd_port": "left", "cmd_starboard": "right"})
-    table["left"] = smooth
+    table = table.rename(columns={"cmd_port": "left_rpm", "cmd_starboard": "right_rpm"})
+    table["left_rpm"] = smooth
     table.to_csv(tmp_path / "a.csv", index=False)
     sure = propose_mapping(tmp_path / "a.csv").sure
     assert "exec_port" in sure and "cmd_starboard" in sure
@@ -497,3 +497,54 @@ def test_a_number_too_large_to_calculate_with_is_none(tmp_path):
     file = tmp_path / "log.csv"
     pd.DataFrame({"time": t, "east": y, "north": x, "yaw": psi}).to_csv(file, index=False)
     assert propose_mapping(file).sure.keys() >= {"x", "y", "psi"}
+
+
+def hobby_log(folder, neutral=1500.0):
+    """A boat with a servo and a speed controller, as a small board writes it: lat, lon, pulses."""
+    native = rudder_run()
+    native.loc[:30, "cmd_rudder"] = 0.0  # as it stands before anybody steers
+    t = native["t"].to_numpy()
+    speed = np.hypot(native["u"], native["v"])
+    course = np.degrees(np.arctan2(np.gradient(native["y"], t), np.gradient(native["x"], t))) % 360
+    pulses = neutral + np.round(native["cmd_rudder"] * 400.0 / np.radians(35))
+    table = pd.DataFrame({
+        "millis": np.round(1000 * (t - t[0])) + 5000,
+        "lat": 54.3 + native["x"] / 111_320, "lon": 10.1 + native["y"] / 65_000,
+        "gps_speed": speed, "gps_course": course,
+        "compass_deg": np.degrees(native["psi"]) % 360, "gyro_z_dps": np.degrees(native["r"]),
+        "esc_us": np.where(t < t.mean(), 1640.0, 1700.0), "servo_us": pulses,
+    })  # fmt: skip
+    table.to_csv(folder / "log.csv", index=False)
+    return native
+
+
+@pytest.mark.parametrize("neutral", [1500.0, 1472.0])
+def test_pulses_of_a_servo_are_angles_and_those_of_a_motor_orders(tmp_path, neutral):
+    native = hobby_log(tmp_path, neutral)
+    proposal = propose_mapping(tmp_path / "log.csv")
+    written = tmp_path / "log.mapping.toml"
+    written.write_text(proposal.text, encoding="utf-8")
+    run = read_recording(tmp_path / "log.csv", read_mapping(written))
+    assert set(run.commanded) == {"rudder", "motor"} and not run.executed
+    steps = np.radians(35) / 400
+    np.testing.assert_allclose(run.commanded["rudder"], native["cmd_rudder"], atol=0.6 * steps)
+    assert set(run.commanded["motor"]) == {1640.0, 1700.0}
+    assert "35 deg at 400 us" in proposal.text
+    # Speed and course by GPS are over the ground.
+    assert proposal.sure.get("u", 0.0) <= 0.5 < 0.9 < proposal.sure["psi"]
+
+
+@pytest.mark.parametrize("names, kind", [
+    (("left", "right"), "cmd"), (("thrust_port", "thrust_stbd"), "cmd"),
+    (("left_rpm", "right_rpm"), "exec"),
+])  # fmt: skip
+def test_what_moves_gradually_was_realised_where_a_sensor_could_read_it(
+    names, kind, runs, tmp_path
+):
+    table = runs["random-fast"]
+    for name, side in zip(names, ("port", "starboard"), strict=True):
+        table = table.rename(columns={f"cmd_{side}": name})
+        table[name] = table[name].ewm(span=12).mean()
+    table.rename(columns={"t": "time"}).to_csv(tmp_path / "a.csv", index=False)
+    sure = propose_mapping(tmp_path / "a.csv").sure
+    assert {f"{kind}_port", f"{kind}_starboard"} <= set(sure)

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from diffsea import pulses
 from diffsea.channels import is_azimuth, side_pair, steers
 from diffsea.recordings.known import Output
 from diffsea.scales import HARD_OVER
@@ -12,10 +13,6 @@ from diffsea.series import hold_last
 from diffsea.trajectory import Samples, Trajectory
 
 
-_PULSES = (700.0, 2300.0)  # us
-_PULSE_NEUTRAL, _PULSE_SPAN = 1500.0, 400.0
-_NEAR_NEUTRAL = 60.0  # us: a pulse that stands for a twentieth of the time there is the neutral one
-_COMMON = 0.05
 _ROUNDING = 1.05  # of full order, that normalised orders may exceed
 _LARGEST = 0.995  # quantile of sizes that stands for the largest order
 
@@ -36,7 +33,7 @@ class OrderScale:
         above = sign * (orders - self.neutral)
         ahead, astern = abs(self.full_ahead - self.neutral), abs(self.full_astern - self.neutral)
         share = np.where(above >= 0, above / ahead, above / astern)
-        return np.where((self.unit == "us") & (orders < _PULSES[0]), 0.0, share)
+        return np.where((self.unit == "us") & (orders < pulses.SHORTEST), 0.0, share)
 
 
 def order_scales(run: Trajectory, outputs: Sequence[Output] = ()) -> dict[str, OrderScale]:
@@ -63,14 +60,9 @@ def order_scales(run: Trajectory, outputs: Sequence[Output] = ()) -> dict[str, O
 def _scale_of(values: Samples) -> OrderScale:
     """The scale that values look like."""
     largest = float(np.quantile(np.abs(values), _LARGEST))
-    pulses = values[values > 0]
-    if pulses.size and pulses.min() >= _PULSES[0] and pulses.max() <= _PULSES[1]:
-        near = pulses[np.abs(pulses - _PULSE_NEUTRAL) <= _NEAR_NEUTRAL]
-        levels, counts = np.unique(near, return_counts=True)
-        neutral = _PULSE_NEUTRAL
-        if counts.size and counts.max() >= _COMMON * pulses.size:
-            neutral = float(levels[np.argmax(counts)])
-        ends = neutral, neutral + _PULSE_SPAN, neutral - _PULSE_SPAN
+    if pulses.are_pulses(values):
+        neutral = pulses.neutral_pulse(values)
+        ends = neutral, neutral + pulses.SPAN, neutral - pulses.SPAN
         return OrderScale("us", *ends, "pulse widths by their values")
     if largest <= _ROUNDING:
         return OrderScale("normalised", 0.0, 1.0, -1.0, "shares by their values")

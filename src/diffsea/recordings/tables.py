@@ -15,6 +15,7 @@ import pandas as pd
 from diffsea.errors import UserError, nearest
 from diffsea.outside.sizes import check_size
 from diffsea.recordings.mappings import CHANNEL_DIMENSIONS, Column, Mapping
+from diffsea.recordings.rotations import angles_in, quaternions_in
 from diffsea.trajectory import Samples
 
 
@@ -24,6 +25,7 @@ LARGEST_QUANTITY = 1e100  # in any unit; sums of larger squares are no numbers
 # pandas 2 ends the process on it: its parser of numbers counts the exponent in 32 bits.
 _LONG_EXPONENT = re.compile(rb"[0-9.][eE][+-]?[0-9]{9,}")
 _LAST_LINES = 1 << 20  # bytes that hold them
+_NEARLY_ONE = 0.01  # off which the length of a rotation may be
 _HALF_A_DAY = 43_200.0  # s by which a time of day falls where the next day begins
 
 
@@ -43,8 +45,31 @@ class TableFile(NamedTuple):
 def read_table(path: Path, mapping: Mapping | None) -> TableFile:
     """The table in a file: Parquet by the suffix, else CSV as `mapping` says, or comma-separated.
 
-    Raises `UserError` for what is no file, no text or no table.
+    Quaternions among its columns give further columns, of roll, pitch and yaw. Raises `UserError`
+    for what is no file, no text or no table.
     """
+    found = _read_file(path, mapping)
+    return found._replace(table=_with_angles(found.table))
+
+
+def _with_angles(table: pd.DataFrame) -> pd.DataFrame:
+    """A table with the angles (rad) of its rotations after its own columns."""
+    parts: dict[str, Samples] = {}
+    for several in quaternions_in(table.columns).values():
+        numbers = {name: to_numbers(pd.Series(table[name])) for name in several}
+        with np.errstate(over="ignore"):
+            square = np.sum(np.square([*numbers.values()]), axis=0)
+        known = np.isfinite(square)
+        if known.any() and abs(np.median(np.sqrt(square[known])) - 1) < _NEARLY_ONE:
+            parts |= numbers
+    angles = {name: angle for name, angle in angles_in(parts).items() if name not in table}
+    if not angles:
+        return table
+    return pd.concat([table, pd.DataFrame(angles, index=table.index)], axis=1)
+
+
+def _read_file(path: Path, mapping: Mapping | None) -> TableFile:
+    """The table as it stands there."""
     _check_file(path)
     if path.suffix.lower() in PARQUET_SUFFIXES:
         try:

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from diffsea import pulses
 from diffsea.errors import UserError
 from diffsea.recordings.auditing.finding import Finding, finding_of
 from diffsea.trajectory import Samples, Trajectory
@@ -19,7 +20,6 @@ _BEYOND = 3.0
 _HARDLY_ANY = 0.02
 _OFTEN = 0.05  # of the values beyond a limit: a vessel that takes no more is told of
 _LARGEST_SHARE = 0.99  # of the values is below the largest size: wild values are no unit
-_PULSES = (700.0, 2300.0)  # us: pulse widths of servos and speed controllers, trimmed at will
 _ROUNDING = 1.05  # of full order, that normalised orders and per cents may exceed
 
 
@@ -117,7 +117,7 @@ def _limits(servo: Servo, unit: str) -> str:
 def _guess(low: float, high: float, unit: str) -> dict[str, str]:
     """What values from `low` to `high` look like, and what to do then."""
     size, steers = max(abs(low), abs(high)), unit == "rad"
-    if _PULSES[0] <= low and high <= _PULSES[1]:
+    if pulses.SHORTEST <= low and high <= pulses.LONGEST:
         looks, scale = "pulse widths in us", "us"
     elif steers:
         looks, scale = "degrees", "deg"

@@ -16,10 +16,10 @@ from diffsea.recordings.logs.streams import (
     LONGEST_ARRAY,
     Stream,
     ends_within_a_message,
-    euler_angles,
     unreadable,
 )
 from diffsea.recordings.mappings import Mapping
+from diffsea.recordings.rotations import angles_in
 
 
 _LOOKED_AT = 1 << 20  # bytes at either end of a file, where its channels are told
@@ -103,12 +103,7 @@ def _streams(path: Path) -> dict[str, Stream]:
             name: np.array([row.get(name, np.nan) for row in own], dtype=float)[order]
             for name in dict.fromkeys(name for row in own for name in row)
         }
-        for base in [name[:-2] for name in series[topic] if name.endswith(".w")]:
-            parts = [series[topic].get(f"{base}.{part}") for part in "wxyz"]
-            if all(part is not None for part in parts):
-                w, x, y, z = (part for part in parts if part is not None)
-                angles = euler_angles(w, x, y, z)
-                series[topic] |= {f"{base}.{name}": angle for name, angle in angles.items()}
+        series[topic] |= angles_in(series[topic])
     return mavlink_streams(times, series, path.name, cut_off)
 
 

@@ -10,10 +10,10 @@ from diffsea.errors import UserError
 from diffsea.recordings.logs.streams import (
     Stream,
     ends_within_a_message,
-    euler_angles,
     unreadable,
 )
 from diffsea.recordings.mappings import Mapping
+from diffsea.recordings.rotations import angles_in
 
 
 # Fields that are not known where another field of the message is below a limit: a flag that is
@@ -93,8 +93,4 @@ def _fields(data: Any) -> dict[str, np.ndarray]:
         for name in names:
             if level in fields and name in fields:
                 fields[name] = np.where(fields[level] >= least, fields[name], np.nan)
-    last = [name for name in fields if re.fullmatch(r"(.+\.)?q(_\w+)?\.3", name)]
-    for base in [name.removesuffix(".3") for name in last]:
-        for angle, series in euler_angles(*(fields[f"{base}.{i}"] for i in range(4))).items():
-            fields[f"{base}.{angle}"] = series
-    return fields
+    return fields | angles_in(fields)

@@ -12,8 +12,9 @@ import numpy as np
 from diffsea.errors import UserError
 from diffsea.outside.sizes import Meter
 from diffsea.recordings.logs.chunks import check_chunks
-from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, euler_angles, unreadable
+from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, unreadable
 from diffsea.recordings.mappings import Mapping
+from diffsea.recordings.rotations import ANGLES, angles_in, quaternions_in
 
 
 _MOST_VALUES = 10_000  # of a message, those of arrays of numbers counted as one
@@ -45,9 +46,8 @@ def contents(path: Path) -> dict[str, list[str]]:
             except UserError:  # a type that the bag does not define is no reason not to list
                 first = []
             names = list(_places_of_fields(first))
-            for base in _quaternions(names):
-                names += [f"{base}.{angle}" for angle in ("roll", "pitch", "yaw")]
-            found[topic] = names
+            angles = [f"{start}{name}" for start in quaternions_in(names) for name in ANGLES]
+            found[topic] = names + angles
     return found
 
 
@@ -193,9 +193,7 @@ def _stamped_fields(
     places = _places_of_fields(messages[:_LOOKED_AT])
     fields = {name: _series(messages, place) for name, place in places.items()}
     _mask_unknown(fields, messages)
-    for base in _quaternions(list(fields)):
-        for angle, series in euler_angles(*(fields[f"{base}.{part}"] for part in "wxyz")).items():
-            fields[f"{base}.{angle}"] = series
+    fields |= angles_in(fields)
     if stamps != "header" or not messages or not hasattr(messages[0], "header"):
         return times, fields, "receive time", ()
     pairs = [(message.header.stamp.sec, message.header.stamp.nanosec) for message in messages]
@@ -220,12 +218,6 @@ def _stamped_fields(
 
 
 _Place = tuple[str | int, ...]  # of a field in a message: attributes, then an index and rest
-
-
-def _quaternions(names: list[str]) -> list[str]:
-    """The groups x, y, z, w; no message of the usual ones has such a group that is no rotation."""
-    bases = [name.removesuffix(".w") for name in names if name.endswith(".w")]
-    return [base for base in bases if all(f"{base}.{part}" in names for part in "xyz")]
 
 
 def _places_of_fields(messages: list) -> dict[str, _Place]:

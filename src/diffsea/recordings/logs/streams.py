@@ -3,13 +3,11 @@
 import contextlib
 import dataclasses
 import io
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
 from diffsea.errors import UserError, nearest
 from diffsea.recordings.mappings import REPEATED_TIMES, Mapping
@@ -162,27 +160,6 @@ def merge_repeated_times(stream: Stream, path: Path, fewest: int = 2) -> Stream:
         notes=(*stream.notes, note),
         repeated_times=RowsLeftOut(stream.t.size - samples, note),
     )
-
-
-def euler_angles(
-    w: Samples, x: Samples, y: Samples, z: Samples
-) -> dict[str, Float[np.ndarray, "time"]]:
-    """Roll, pitch and yaw (rad) of rotations given by quaternions of any length above zero.
-
-    The rotation is yaw about z, then pitch about the new y, then roll about the new x, as in
-    Fossen's handbook, (2.58); frames are those of the message. NaN for a quaternion of zeros.
-    """
-    from scipy.spatial.transform import Rotation  # a fifth of a second, for logs alone
-
-    quaternions = np.stack([x, y, z, w], axis=-1).astype(float)
-    angles = np.full((len(quaternions), 3), np.nan)
-    length = np.linalg.norm(quaternions, axis=-1)
-    turned = (length > 0) & np.isfinite(length)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # bow straight up: roll is taken as zero
-        if turned.any():
-            angles[turned] = Rotation.from_quat(quaternions[turned]).as_euler("ZYX")
-    return dict(zip(("yaw", "pitch", "roll"), angles.T, strict=True))
 
 
 @contextlib.contextmanager

@@ -9,7 +9,9 @@ import dataclasses
 import math
 
 import numpy as np
+from jaxtyping import Float
 
+from diffsea import pulses
 from diffsea.recordings.auditing.actuators import order_findings
 from diffsea.recordings.auditing.finding import Finding
 from diffsea.recordings.auditing.responses import (
@@ -22,10 +24,11 @@ from diffsea.recordings.auditing.responses import (
 from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion
 from diffsea.recordings.mappings import UNITS
 from diffsea.recordings.motion import MeasuredMotion, motion_of
+from diffsea.scales import HARD_OVER
 from diffsea.trajectory import Series, Trajectory
 
 
-ROLES = ("rudder", "propeller", "port", "starboard", "thrust")
+ROLES = ("rudder", "propeller", "port", "starboard", "thrust")  # labels of names
 _LARGEST_RADIANS = 0.9  # of a rudder: beyond, the numbers are degrees
 # Probabilities that a column is an order, or was realised, for each reason to think so: what moves
 # gradually may also be an order from a lever that somebody moves, or from a controller.
@@ -45,7 +48,7 @@ class ActuatorColumn:
     """One column that drives the vessel.
 
     Attributes:
-        role: one of `ROLES`.
+        role: one of `ROLES`, or `motor` for a propeller whose orders are no shaft speeds.
         sure: probability that the role, and `ordered`, are right.
         unit: one of `UNITS`, or empty where nothing tells it.
         ordered: whether it holds orders, rather than what was realised.
@@ -54,6 +57,7 @@ class ActuatorColumn:
             propeller), -1 where the contrary, 0 where the runs do not tell. Of thrusters on
             either side, 1 where more on the port side turns to starboard.
         is_named: whether its name says its role.
+        scale, offset: as of a mapping's column.
     """
 
     column: str
@@ -64,6 +68,8 @@ class ActuatorColumn:
     reason: str
     push: int
     is_named: bool = True
+    scale: float = 1.0
+    offset: float = 0.0
 
     @property
     def turns(self) -> bool:
@@ -186,16 +192,37 @@ def _actuator(
 ) -> ActuatorColumn:
     """The column in a role that it has with some chance, with its unit and its push."""
     ordered, reason, sure = _is_order(column, suggestion, runs)
+    values = np.concatenate([_finite(run, column) for run in runs])
+    push, is_share = _vote(verdicts), suggestion.unit == "%"
+    if pulses.are_pulses(values):
+        if role == "rudder":
+            return _rudder_by_pulses(column, values, sure * chance, push)
+        is_share = True
     # A pulse width is no time, and a share has no unit in a mapping: both are taken as they stand.
     plain = suggestion.unit in UNITS and UNITS[suggestion.unit][0] in ("time", "ratio")
     unit = suggestion.unit if suggestion.unit in UNITS and not plain else ""
     if not unit and not plain:
-        largest = max(float(np.nanmax(np.abs(run.commanded[column]))) for run in runs)
+        largest = float(np.max(np.abs(values)))
         if role == "rudder":
             unit = "deg" if largest > _LARGEST_RADIANS else "rad"
         elif role == "propeller" and suggestion.unit != "?" and _ROTATING & set(suggestion.words):
             unit = "rpm" if largest > _FASTEST else "rev/s"
-    return ActuatorColumn(column, role, sure * chance, unit, ordered, reason, _vote(verdicts))
+    role = "motor" if role == "propeller" and is_share else role
+    return ActuatorColumn(column, role, sure * chance, unit, ordered, reason, push)
+
+
+def _rudder_by_pulses(
+    column: str, values: Float[np.ndarray, "_"], sure: float, push: int
+) -> ActuatorColumn:
+    """A rudder's servo by its pulse widths, as rad if it is hard over at their usual ends."""
+    neutral, slope = pulses.neutral_pulse(values), HARD_OVER / pulses.SPAN
+    reason = (
+        f"pulse widths of a servo, taken for {np.degrees(HARD_OVER):.0f} deg at "
+        f"{pulses.SPAN:.0f} us from {neutral:.0f} us: a guess, look at the rudder"
+    )
+    return ActuatorColumn(
+        *(column, "rudder", sure, "", True, reason, push), scale=slope, offset=-slope * neutral
+    )
 
 
 def _is_order(
@@ -203,6 +230,8 @@ def _is_order(
 ) -> tuple[bool, str, float]:
     """Whether the column holds orders, why, and how probable that is."""
     angle = suggestion.weights["rudder"] > NAMED
+    if any(pulses.are_pulses(_finite(run, column)) for run in runs):
+        return True, "pulse widths are orders", _SAID
     name = "rudder" if angle else "thrust"
     for run in runs:
         series = np.asarray(run.commanded[column], dtype=float)
@@ -216,7 +245,21 @@ def _is_order(
         return suggestion.ordered, "so its name says", _SAID
     if all(np.nanmax(run.commanded[column]) == np.nanmin(run.commanded[column]) for run in runs):
         return True, "it never changes, as orders may", _CONSTANT
+    if not angle and _is_thrust(suggestion):
+        return True, "no sensor reads a thrust or a share of it: it is what was asked for", _GRADUAL
     return False, "it moves gradually, as what was realised does", _GRADUAL
+
+
+def _finite(run: Trajectory, column: str) -> Float[np.ndarray, "_"]:
+    values = np.asarray(run.commanded[column], float)
+    return values[np.isfinite(values)]
+
+
+def _is_thrust(suggestion: Suggestion) -> bool:
+    """Whether a name is that of a thruster's push, and not of a shaft that a sensor may count."""
+    pushes = any(suggestion.weights[role] > NAMED for role in ("port", "starboard", "thrust"))
+    turns = suggestion.unit in UNITS and UNITS[suggestion.unit][0] == "revolutions"
+    return pushes and not turns and not _ROTATING & set(suggestion.words)
 
 
 def _push_of(run: Trajectory, role: str, series: Series) -> tuple[int, float]:

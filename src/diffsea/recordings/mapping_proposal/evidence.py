@@ -170,6 +170,7 @@ def _read_source(paths: Sequence[Path]) -> _Source:
         for name, unit in zip(layout.names, layout.units, strict=True)
         if name
     }
+    suggestions |= {n: suggest_labels(n, "rad") for n in tables[0] if n not in suggestions}
     cosines = {
         sine: cosine
         for sine, cosine in headings_as_sines(layout.names).items()

@@ -43,6 +43,8 @@ _SPOILERS, _ORDERS, _REALISED, _OVER_GROUND = (
     for kind in ("spoilers", "orders", "realised", "over_ground")
 )
 
+_ORDERED_BY_PULSES = ("rudder", "propeller", "thrust")
+
 _SINE = re.compile(r"(?:(?<![A-Za-z])sin|Sin|(?<![A-Z])SIN)(?:(e|E)(?![a-zA-Z])|(?![a-z]))")
 
 # Weights are prior probabilities, set on the names of published data sets.
@@ -106,8 +108,10 @@ def suggest_labels(name: str, stated_unit: str = "") -> Suggestion:
     weights["other"] += max(0.0, 1.0 - sum(weights.values()))
     if unit:
         dimension = "?" if unit == "?" else UNITS[unit][0]
+        fitting = {"any", dimension, *(("degrees",) if unit == "deg" else ())}
         for label, kind in LABELS.items():
-            if kind not in ("any", dimension) and not (kind == "degrees" and unit == "deg"):
+            is_pulse = unit == "us" and label in _ORDERED_BY_PULSES
+            if kind not in fitting and not is_pulse:
                 weights[label] = _WRONG_DIMENSION * weights[label]
         total = sum(weights.values())
         weights = {label: weight / total for label, weight in weights.items()}

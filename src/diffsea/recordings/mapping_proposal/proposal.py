@@ -43,12 +43,14 @@ _SIDE_PUSHES = {
     -1: "more on the side named port turns the vessel to port: sides exchanged",
     0: "which side it is on cannot be seen in this run",
 }
+_SPEEDS_UP = {
+    1: "positive values speed the vessel up",
+    -1: "positive values slow the vessel down",
+    0: "its sign cannot be seen in this run",
+}
 _PUSHES = {
-    "propeller": {
-        1: "positive values speed the vessel up",
-        -1: "positive values slow the vessel down",
-        0: "its sign cannot be seen in this run",
-    },
+    "propeller": _SPEEDS_UP,
+    "motor": _SPEEDS_UP,
     "rudder": {
         1: "positive values turn the vessel to starboard",
         -1: "positive values turn the vessel to port, hence the sign",
@@ -200,7 +202,14 @@ def _actuator_guesses(evidence: ProposalEvidence) -> list[ChannelGuess]:
         channel = ("cmd_" if actuator.ordered else "exec_") + name
         push = _PUSHES[actuator.role][actuator.push]
         why = "; ".join(part for part in (actuator.reason, push) if part)
-        found.append(ChannelGuess(channel, Column(actuator.column, unit, sign), sure, why))
+        found.append(
+            ChannelGuess(
+                channel,
+                Column(actuator.column, unit, sign, actuator.scale, actuator.offset),
+                sure,
+                why,
+            )
+        )
     return found
 
 
@@ -359,6 +368,8 @@ def _column_value(column: Column) -> str:
         parts.append(f'unit = "{column.unit}"')
     if column.sign != 1:
         parts.append("sign = -1")
+    if column.scale != 1:
+        parts.append(f"scale = {float(column.scale)!r}")
     if column.offset != 0:
         parts.append(f"offset = {float(column.offset)!r}")
     return _quoted(column.column) if len(parts) == 1 else "{ " + ", ".join(parts) + " }"

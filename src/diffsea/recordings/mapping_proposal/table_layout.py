@@ -7,6 +7,7 @@ are numbers, in rows of equal length.
 
 import codecs
 import dataclasses
+import itertools
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +18,7 @@ import pandas as pd
 from diffsea.errors import UserError
 from diffsea.recordings.mapping_proposal.names import UNIT_WORDS, unit_in
 from diffsea.recordings.mappings import Column, Mapping
+from diffsea.recordings.rotations import ANGLES, quaternions_in
 from diffsea.recordings.tables import (
     LARGEST_QUANTITY,
     PARQUET_SUFFIXES,
@@ -83,11 +85,19 @@ def numeric_columns(path: Path, layout: TableLayout) -> dict[str, Samples]:
     """Every named column as floats, rows as in the file; cells that are no numbers are NaN.
 
     So are those that are too large to calculate with. Stamps of text are in seconds. Columns
-    without any number are left out.
+    without any number are left out. Of rotations there are the angles, in rad, and not the parts
+    of their quaternions.
     """
     table = read_table(path, layout.mapping).table
+    turned = {
+        start: parts
+        for start, parts in quaternions_in(table.columns).items()
+        if f"{start}yaw" in table
+    }
+    parts = set(itertools.chain(*turned.values()))
+    angles = [f"{start}{name}" for start in turned for name in ANGLES]
     found = {}
-    for name in layout.names:
+    for name in dict.fromkeys([*(one for one in layout.names if one not in parts), *angles]):
         column = table[name] if name and name in table.columns else None
         if not isinstance(column, pd.Series):
             continue
