@@ -97,7 +97,7 @@ def test_what_is_wrong_with_a_folder_is_said(folder, mapped):
         mapped(folder, OWN_CLOCKS.replace("times", "# times"))
     with pytest.raises(UserError, match="has no 'gpss', which .* maps to x; did you mean 'gps'"):
         mapped(folder, OWN_CLOCKS.replace("gps:north", "gpss:north"))
-    with pytest.raises(UserError, match="sine and cosine must come from one topic"):
+    with pytest.raises(UserError, match="psi: its columns must come from one topic"):
         mapped(folder, OWN_CLOCKS.replace('cosine = "imu:cos"', 'cosine = "gps:cos"'))
     with pytest.raises(UserError, match="times.motors: time itself cannot be delayed"):
         mapped(folder, OWN_CLOCKS.replace('unit = "ms"', 'unit = "ms", delay = 1.0'))

@@ -353,8 +353,32 @@ def test_course_is_no_heading_where_there_is_one(runs, tmp_path):
     both, alone = (propose_mapping(tmp_path / name) for name in ("a.csv", "b.csv"))
     assert 'psi = { column = "heading"' in both.text and both.sure["psi"] > 0.95
     assert 'psi = { column = "cog"' in alone.text
-    assert alone.sure["psi"] == both.sure["u"] == 0.5
+    assert alone.sure["psi"] == alone.sure["u"] == 0.5
     assert any(line.startswith("psi (cog): nothing better is there") for line in alone.checks)
+
+
+def test_speed_and_course_over_ground_are_a_velocity_where_there_is_a_heading(runs, tmp_path):
+    native = runs["random-fast"]
+    table = over_ground(native).rename(columns={"x": "north", "y": "east"})
+    table.to_csv(tmp_path / "a.csv", index=False)
+    proposal = propose_mapping(tmp_path / "a.csv")
+    written = tmp_path / "a.toml"
+    written.write_text(proposal.text)
+    mapping = read_mapping(written)
+    assert mapping.channels["u"].names == mapping.channels["v"].names == ("sog", "cog")
+    assert min(proposal.sure[name] for name in "uv") > 0.95
+    run = read_recording(tmp_path / "a.csv", mapping)
+    through_water = (run.u + 1j * run.v) * np.exp(1j * run.psi) - (0.4 + 0.5j)
+    true = (native["u"] + 1j * native["v"]) * np.exp(1j * native["psi"])
+    np.testing.assert_allclose(through_water, true, atol=1e-9)
+
+
+def test_velocities_that_are_there_are_better_than_those_over_ground(runs, tmp_path):
+    native = runs["random-fast"]
+    table = over_ground(native).assign(surge=native["u"], sway=native["v"])
+    table.to_csv(tmp_path / "a.csv", index=False)
+    text = propose_mapping(tmp_path / "a.csv").text
+    assert 'u = "surge"' in text and 'v = "sway"' in text and "course =" not in text
 
 
 def test_an_order_is_no_heading(runs, tmp_path):
@@ -530,8 +554,7 @@ def test_pulses_of_a_servo_are_angles_and_those_of_a_motor_orders(tmp_path, neut
     np.testing.assert_allclose(run.commanded["rudder"], native["cmd_rudder"], atol=0.6 * steps)
     assert set(run.commanded["motor"]) == {1640.0, 1700.0}
     assert "35 deg at 400 us" in proposal.text
-    # Speed and course by GPS are over the ground.
-    assert proposal.sure.get("u", 0.0) <= 0.5 < 0.9 < proposal.sure["psi"]
+    np.testing.assert_allclose(run.u, native["u"], atol=0.05)  # its course is that of chords
 
 
 @pytest.mark.parametrize("names, kind", [

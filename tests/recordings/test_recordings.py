@@ -23,6 +23,16 @@ from diffsea.recordings import to_frame
 from diffsea.recordings.auditing.mapping_rows import mapping_text
 
 
+OVER_GROUND = """[file]
+velocity_axes = 'earth'
+[columns]
+t = 't'
+psi = 'p'
+u = { column = 's', course = 'c' }
+v = { column = 's', course = 'c' }
+"""
+
+
 MAPPED = [
     ("blueboat", "fixed_00000224.csv"),
     ("esso_osaka", "recordings/zigzag_31-Jul-2020_13_04_24.csv"),
@@ -348,6 +358,20 @@ def test_missing_files_and_folders_are_named(tmp_path, place):
             "[columns]\nt = 't'\nx = { column = 's', cosine = 'c' }\n",
             "cosine is the name of a column.*of an angle",
         ),
+        (
+            "[columns]\nt = 't'\nx = { column = 's', course = 'c' }\n",
+            "course is the name of a column in deg.*for u and v",
+        ),
+        (
+            OVER_GROUND.replace("v = { column = 's', course = 'c' }", "v = 's'"),
+            "the same column, unit and course",
+        ),
+        (
+            OVER_GROUND.replace("v = { column = 's',", "v = { column = 's', unit = 'kn',"),
+            "the same column, unit and course",
+        ),
+        (OVER_GROUND.replace("'earth'", "'body'"), 'velocity_axes = "earth"'),
+        (OVER_GROUND.replace("[col", "frame = 'ENU'\n[col"), "a course is clockwise from north"),
         ("[columns]\nt = 't'\nu = { constant = 1 }\n", "u: only orders, actuation, wind"),
         ("[columns]\nt = 't'\ncmd_a = { constant = 'fast' }\n", "constant must be a finite"),
         ("[columns]\nt = 't'\ncmd_a = { constant = 1, sign = 1 }\n", "unknown key 'sign'"),
@@ -410,6 +434,28 @@ def test_an_angle_is_read_from_its_sine_and_cosine(place):
     np.testing.assert_allclose(psi, -(np.array([0.0, 0.5, 1.0]) * np.pi + 0.5))
     with pytest.raises(UserError, match="no column 'c'.*maps to psi"):
         read_recording(place("t,s\n0,0.0\n1,1.0\n"), mapping)
+
+
+def test_a_velocity_is_read_from_its_speed_and_course(place):
+    mapping = place(OVER_GROUND.replace("'c'", "'c', unit = 'kn'"), "map.toml")
+    run = read_recording(place("t,p,s,c\n0,0.0,2.0,0\n1,0.5,2.0,90\n2,0.0,3.0,225\n"), mapping)
+    north = np.array([2.0, 0.0, -3.0 / np.sqrt(2)]) * 1852 / 3600
+    east = np.array([0.0, 2.0, -3.0 / np.sqrt(2)]) * 1852 / 3600
+    turned = (north + 1j * east) * np.exp(-1j * np.array([0.0, 0.5, 0.0]))
+    np.testing.assert_allclose(run.u + 1j * run.v, turned, atol=1e-12)
+
+
+def test_a_velocity_over_ground_that_is_held_counts_where_it_is_new(place):
+    """A receiver of 2 Hz in rows of 10 Hz: held, it would turn with the heading in between."""
+    rng = np.random.default_rng(0)
+    t, fixes = 0.1 * np.arange(600), np.repeat(np.arange(120), 5)
+    speed, course = 1.5 + 0.1 * rng.standard_normal(120), 20 * np.sin(0.1 * np.arange(120)) + 40
+    table = {"t": t, "p": 0.3 * np.sin(0.3 * t), "s": speed[fixes], "c": course[fixes]}
+    run = read_recording(
+        place(pd.DataFrame(table).to_csv(index=False)), place(OVER_GROUND, "map.toml")
+    )
+    assert np.flatnonzero(np.isfinite(run.u)).tolist() == list(range(0, 600, 5))
+    assert np.isfinite(run.psi).all()
 
 
 def test_mapping_repairs_late_channels_and_earth_axes(place):

@@ -25,6 +25,7 @@ file, one per data set, so that nobody edits data in order to read it:
     psi = { column = "yaw", unit = "deg" }
     u = "surge"
     # psi = { column = "sin_yaw", cosine = "cos_yaw" }
+    # u = { column = "SOG", unit = "kn", course = "COG" }  # and v: of velocity_axes "earth"
 
 A channel is `sign * (scale * number + offset)` in the stated unit, then converted to SI:
 an offset of 5 with the unit `deg` turns the heading by five degrees. With `delay = 0.8` the
@@ -143,7 +144,9 @@ class Column:
     """Where one channel comes from: `sign * (scale * number + offset)` in `unit`.
 
     In SI that is `gain * number + shift`. A mapping file names the fields as they are named here.
-    With a `cosine`, another column of a table, `column` is the sine of an angle in rad.
+    With a `cosine`, another column of a table, `column` is the sine of an angle in rad. With a
+    `course`, another column in deg clockwise from north, it is a speed over ground, and u and v
+    are its parts to north and east.
     """
 
     column: str
@@ -153,11 +156,22 @@ class Column:
     offset: float = 0.0  # in `unit`
     delay: float = 0.0  # s, by how much the channel is stamped late
     cosine: str | None = None
+    course: str | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
         """The columns that it is made of."""
-        return (self.column,) if self.cosine is None else (self.column, self.cosine)
+        beside = self.cosine or self.course
+        return (self.column,) if beside is None else (self.column, beside)
+
+    def made_of(self, channel: str, parts: Sequence[Samples]) -> Samples:
+        """What a channel is before its gain and shift, of the columns of `names`."""
+        if self.cosine is not None:
+            return np.arctan2(*parts)
+        if self.course is not None:
+            along = np.cos if channel == "u" else np.sin
+            return parts[0] * along(np.radians(parts[1]))
+        return parts[0]
 
     @property
     def gain(self) -> float:
@@ -404,6 +418,16 @@ def _check_channels(channels: dict[str, Column], settings: dict[str, Any], path:
         )
     if settings.get("velocity_axes") == "earth" and not {"psi", "u", "v"} <= set(channels):
         raise UserError(f"{path}: velocities in earth axes need the channels psi, u and v")
+    velocities = [channels.get(name) for name in "uv"]
+    ways = {one and (one.course and one.names, one.unit, one.scale) for one in velocities}
+    if any(one and one.course for one in velocities):
+        if len(ways) > 1 or settings.get("velocity_axes") != "earth":
+            raise UserError(
+                f"{path}: a speed with its course is a velocity over ground: give u and v the "
+                'same column, unit and course, and [file] velocity_axes = "earth"'
+            )
+        if settings.get("frame", "NED") != "NED":
+            raise UserError(f"{path}: a course is clockwise from north; leave [file] frame out")
     geodetic = set(_GEODETIC) & set(channels)
     if geodetic and geodetic != set(_GEODETIC):
         raise UserError(f"{path}: latitude and longitude belong together; map both of them")
@@ -462,6 +486,11 @@ def _column(channel: str, entry: object, where: str) -> Column:
         raise UserError(
             f"{where}: cosine is the name of a column beside that of the sine of an angle, in rad"
         )
+    course = entry.get("course")
+    if course is not None and not (isinstance(course, str) and channel in ("u", "v")):
+        raise UserError(
+            f"{where}: course is the name of a column in deg beside that of a speed, for u and v"
+        )
     if unit is not None and (not isinstance(unit, str) or unit not in UNITS):
         raise UserError(
             f"{where}: unknown unit {unit!r}; known units are {', '.join(UNITS)}"
@@ -475,7 +504,7 @@ def _column(channel: str, entry: object, where: str) -> Column:
             f"{where}: {unit!r} would turn pulse widths into seconds; leave the unit out, and "
             'state unit = "us" in the vessel file'
         )
-    return Column(entry["column"], unit=unit, cosine=cosine, **numbers)
+    return Column(entry["column"], unit=unit, cosine=cosine, course=course, **numbers)
 
 
 def _number(value: object, where: str) -> float:

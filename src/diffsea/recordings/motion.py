@@ -78,7 +78,7 @@ def motion_of(trajectory: Trajectory) -> MeasuredMotion:
     run = run.rows(strictly_later(run.t))
     values, known = {}, {}
     for channel, series in run.motion.items():
-        series = np.where(_fresh(series), series, np.nan)
+        series = np.where(fresh_samples(series), series, np.nan)
         times = run.t[np.isfinite(series)]
         own = median_interval(times) if times.size > 2 else 0.0
         longest = _BRIDGED_INTERVALS * max(own, median_interval(run.t))
@@ -86,7 +86,7 @@ def motion_of(trajectory: Trajectory) -> MeasuredMotion:
     return MeasuredMotion(run.t, values, known)
 
 
-def _fresh(series: Samples) -> Bool[np.ndarray, "time"]:
+def fresh_samples(series: Samples) -> Bool[np.ndarray, "time"]:
     """Which samples are new, where a slower sensor's value is repeated regularly."""
     everything = np.ones(series.shape, dtype=bool)
     steps = np.diff(series)

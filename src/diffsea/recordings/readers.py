@@ -35,6 +35,7 @@ from diffsea.recordings.mappings import (
     read_mapping,
     with_channels,
 )
+from diffsea.recordings.motion import fresh_samples
 from diffsea.recordings.tables import (
     LARGEST_QUANTITY,
     PARQUET_SUFFIXES,
@@ -199,7 +200,7 @@ def _from_table(
             raw = clock_column(table, column, place, first_line)
         else:
             parts = [numeric_column(table, name, place, first_line) for name in column.names]
-            raw = parts[0] if column.cosine is None else np.arctan2(*parts)
+            raw = column.made_of(channel, parts)
         values[channel] = raw * column.gain + column.shift
     used = {name for column in channels.values() for name in column.names}
     unused = [str(name) for name in table.columns if name not in used and str(name).strip()]
@@ -397,7 +398,11 @@ def _with_mapped_repairs(run: Trajectory, mapping: Mapping) -> Trajectory:
         elif name in channels:
             channels[name] = np.interp(later, t, channels[name], left=np.nan, right=np.nan)
     if mapping.velocity_axes == "earth":
-        body = (channels["u"] + 1j * channels["v"]) * np.exp(-1j * channels["psi"])
+        flow = channels["u"] + 1j * channels["v"]
+        # Held until the next one, they would turn with the vessel, and none would seem held.
+        held = ~(fresh_samples(channels["u"]) | fresh_samples(channels["v"]))
+        body = np.array(flow * np.exp(-1j * channels["psi"]))
+        body[held] = np.nan
         channels |= {"u": body.real, "v": body.imag}
         notes.append("u and v turned from earth into body axes by the heading")
     return with_channels(run, channels, provenance=(*run.provenance, *notes))

@@ -198,7 +198,7 @@ def _check_columns(
         topics = {each.rpartition(":")[0] for each in column.names}
         if len(topics) > 1:
             raise UserError(
-                f"{mapping.name}: [columns] {name}: sine and cosine must come from one topic, not "
+                f"{mapping.name}: [columns] {name}: its columns must come from one topic, not "
                 + " and ".join(column.names)
             )
 
@@ -320,9 +320,9 @@ def _pick_channels(
         written = mapping.channel_of(column.column)
         where = f"{path}, {mapping.name}, {written}"
         full, series = streams[topic].field(field, where)
-        if column.cosine is not None:
-            beside, cosine = streams[topic].field(column.cosine.rpartition(":")[2], where)
-            full, series = f"{full} and {beside}", np.arctan2(series, cosine)
+        for other in column.names[1:]:
+            beside, second = streams[topic].field(other.rpartition(":")[2], where)
+            full, series = f"{full} and {beside}", column.made_of(name, (series, second))
         series = np.where(np.isfinite(series), series, np.nan) * column.gain + column.shift
         if not np.any(np.isfinite(series)):
             raise UserError(f"{path}: {column.column}, mapped to {written}, has no valid value")

@@ -39,6 +39,7 @@ from diffsea.recordings.mapping_proposal.names import (
     NAMED,
     Suggestion,
     headings_as_sines,
+    named_exactly,
     suggest_labels,
     suggest_sine,
 )
@@ -62,6 +63,7 @@ _RUDDER_LABEL, _THRUSTER_LABELS = math.log(0.75 / 0.25), math.log(0.95 / 0.05)
 _ODD_SCALE = 4.0  # log odds against a ratio that is that of no units
 _SUREST = 0.999  # nothing is surer than the model of sensors that it rests on
 _ON_CIRCLE = 0.05  # by which the squares of sine and cosine may add up to more or less than one
+_VELOCITY_OVER_GROUND = 0.8  # weight of a speed with its course: there may be a better one
 _SUREST_OVER_GROUND = 0.5  # of course and speed over ground, for want of anything better
 _OVER_GROUND = (
     "nothing better is there: course and speed over ground are not {channel} where the vessel "
@@ -118,6 +120,7 @@ class _Source:
     place: tuple[str, str] | None  # columns of latitude and longitude
     origin: tuple[float, float] | None  # the first fix of the longest file (deg)
     cosines: dict[str, str]  # of headings that are there as a sine and a cosine, by the sine
+    courses: dict[str, str]  # over ground, by the speeds that they are of
     windows: ColumnWindows
     prior: HypothesisPrior
 
@@ -178,6 +181,12 @@ def _read_source(paths: Sequence[Path]) -> _Source:
     }
     suggestions |= {name: told for name in cosines if (told := suggest_sine(name)) is not None}
     tables = [_with_headings(table, cosines) for table in tables]
+    courses = _courses_of_speeds(suggestions, tables[0])
+    tables = [_with_velocities(table, courses) for table in tables]
+    for speed, course in courses.items():
+        unit = suggestions[speed].unit
+        suggestions[speed] = named_exactly("vn", _VELOCITY_OVER_GROUND, unit)
+        suggestions[course] = named_exactly("ve", _VELOCITY_OVER_GROUND, unit)
     clock = find_time_column(tables[0], suggestions) or NO_CLOCK
     place, origin = find_geographic(tables[0], suggestions), None
     if place is not None:
@@ -210,7 +219,8 @@ def _read_source(paths: Sequence[Path]) -> _Source:
     windows = windows_of(records)
     fixed = frozenset(tables[0]) - varying
     return _Source(
-        tuple(kept), layout, tables[0], fixed, clock, place, origin, cosines, windows, prior
+        *(tuple(kept), layout, tables[0], fixed, clock, place, origin, cosines, courses),
+        *(windows, prior),
     )
 
 
@@ -227,6 +237,30 @@ def _with_headings(table: dict[str, Samples], cosines: dict[str, str]) -> dict[s
     there = {s: c for s, c in cosines.items() if s in table and c in table}
     others = {name: series for name, series in table.items() if name not in there.values()}
     return others | {s: np.arctan2(table[s], table[c]) for s, c in there.items()}
+
+
+def _courses_of_speeds(
+    suggestions: dict[str, Suggestion], table: dict[str, Samples]
+) -> dict[str, str]:
+    """The course over ground by its speed: where a table has one of each, in deg, and a heading."""
+    speeds = [name for name in table if suggestions[name].is_speed_over_ground]
+    courses = [name for name in table if suggestions[name].is_course_over_ground]
+    headed = any(suggestions[name].weights["psi"] > NAMED for name in table)
+    if len(speeds) != 1 or len(courses) != 1 or not headed:
+        return {}
+    low, high = np.nanmin(table[courses[0]]), np.nanmax(table[courses[0]])
+    in_degrees = low >= -180.5 and 2 * np.pi < high <= 360.5
+    return {speeds[0]: courses[0]} if in_degrees and np.nanmin(table[speeds[0]]) >= 0 else {}
+
+
+def _with_velocities(table: dict[str, Samples], courses: dict[str, str]) -> dict[str, Samples]:
+    """The table with velocities north and east in place of speeds and courses over ground."""
+    found = dict(table)
+    for speed, course in courses.items():
+        if speed in table and course in table:
+            angle = np.radians(table[course])
+            found |= {speed: table[speed] * np.cos(angle), course: table[speed] * np.sin(angle)}
+    return found
 
 
 def _longest_tables(
@@ -455,7 +489,10 @@ def _motion_columns(
         found["psi"] = Column(h.psi, unit, h.turn, offset=offset, cosine=cosine)
     for axis, name in enumerate((h.u, h.v)):
         if name is not None:
-            found["uv"[axis]] = Column(name, _unless_si(units.u), h.speeds[axis])
+            speed = next((s for s, course in source.courses.items() if name in (s, course)), name)
+            course = source.courses.get(speed)
+            column = Column(speed, _unless_si(units.u), h.speeds[axis], course=course)
+            found["uv"[axis]] = column
     if h.r is not None:
         found["r"] = Column(h.r, _unless_si(units.r), h.spin)
     return found

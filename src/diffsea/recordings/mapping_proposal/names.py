@@ -38,9 +38,9 @@ for _words, _meaning in _meaning_of_words("words").items():
 UNIT_WORDS = _meaning_of_words("units")
 _UNIT_TAILS = _meaning_of_words("unit_tails")
 _FRAMES = _meaning_of_words("frames")
-_SPOILERS, _ORDERS, _REALISED, _OVER_GROUND = (
+_SPOILERS, _ORDERS, _REALISED, _SPEEDS_OVER_GROUND, _COURSES_OVER_GROUND = (
     frozenset(_TABLES["kinds"][kind].split(", "))
-    for kind in ("spoilers", "orders", "realised", "over_ground")
+    for kind in ("spoilers", "orders", "realised", "speed_over_ground", "course_over_ground")
 )
 
 _ORDERED_BY_PULSES = ("rudder", "propeller", "thrust")
@@ -76,8 +76,21 @@ class Suggestion:
     @property
     def is_over_ground(self) -> bool:
         """Whether it is called course or speed over ground: neither heading nor surge velocity."""
+        return self.is_speed_over_ground or self.is_course_over_ground
+
+    @property
+    def is_speed_over_ground(self) -> bool:
+        """Whether it is called that; what is called both is its course."""
+        return self._has_one_of(_SPEEDS_OVER_GROUND) and not self.is_course_over_ground
+
+    @property
+    def is_course_over_ground(self) -> bool:
+        """Whether it is called that."""
+        return self._has_one_of(_COURSES_OVER_GROUND)
+
+    def _has_one_of(self, phrases: frozenset[str]) -> bool:
         name = f" {' '.join(self.words)} "
-        return any(f" {phrase} " in name for phrase in _OVER_GROUND)
+        return any(f" {phrase} " in name for phrase in phrases)
 
     @property
     def best(self) -> str:
@@ -118,6 +131,13 @@ def suggest_labels(name: str, stated_unit: str = "") -> Suggestion:
     ordered = True if _ORDERS & set(words) else False if _REALISED & set(words) else None
     frame = next((frame for word, frame in _FRAMES.items() if word in words), "")
     return Suggestion(words, weights, unit, frame, ordered)
+
+
+def named_exactly(label: str, weight: float, unit: str = "") -> Suggestion:
+    """What is one quantity by its kind, with a weight, and by no words."""
+    weights = dict.fromkeys(LABELS, _UNSUGGESTED) | {label: weight}
+    weights["other"] += max(0.0, 1.0 - sum(weights.values()))
+    return Suggestion((), weights, unit)
 
 
 def headings_as_sines(names: Sequence[str]) -> dict[str, str]:

@@ -364,6 +364,8 @@ def _column_value(column: Column) -> str:
     parts = [f"column = {_quoted(column.column)}"]
     if column.cosine is not None:
         parts.append(f"cosine = {_quoted(column.cosine)}")
+    if column.course is not None:
+        parts.append(f"course = {_quoted(column.course)}")
     if column.unit is not None:
         parts.append(f'unit = "{column.unit}"')
     if column.sign != 1:
