@@ -340,6 +340,8 @@ def test_headlines_say_only_what_is_told_from_nothing():
     assert told == ["Turns to port and to starboard differ by less than 4 %."]
     told = headlines(Answers(asymmetry=estimate(-0.03, -0.04, -0.02), paired=True), True)
     assert told == ["Starboard does 6 % less than port for the same order."]
+    told = headlines(Answers(asymmetry=estimate(-0.012, -0.022, -0.002), paired=True), True)
+    assert told == ["Port and starboard differ by less than 5 %."]
 
 
 @pytest.mark.parametrize(
@@ -523,29 +525,50 @@ def test_the_order_of_a_trial_is_an_angle_or_of_thrusters_a_difference():
     assert trial_order(10.0, paired=True) == "on the spot"
 
 
+def yawing(to_starboard, slower=1.0):
+    """A boat whose rudder turns her by what it is ordered times her speed, with a lag of 1 s.
+
+    One way by a factor, and slower while she is turned that way.
+    """
+    rng = np.random.default_rng(3)
+    t = 0.2 * np.arange(3000)
+    order = np.repeat(rng.choice([-0.4, -0.2, 0.0, 0.2, 0.4], 100), 30)
+    speed = np.where(order > 0, slower, 1.0)
+    wanted = np.where(order > 0, to_starboard, 1.0) * 0.5 * order * speed
+    rate = np.zeros(t.size)
+    for k in range(1, t.size):
+        rate[k] = rate[k - 1] + 0.2 * (wanted[k - 1] - rate[k - 1])
+    rate += rng.normal(0.0, 0.002, t.size)
+    psi = np.cumsum(0.2 * rate)
+    x, y = np.cumsum(0.2 * speed * np.cos(psi)), np.cumsum(0.2 * speed * np.sin(psi))
+    return Trajectory(
+        t, x, y, psi, speed, 0 * t, rate, extra={}, valid=np.ones(t.shape, bool), executed={},
+        commanded={"rudder": order, "propeller": 10 + 0 * t},
+    )  # fmt: skip
+
+
+def test_a_rudder_does_no_less_where_turns_one_way_are_slower():
+    check = check_run(yawing(1.0, 0.6), [], ("csv", "a table", "vessel"), {})
+    found = check.answers.asymmetry
+    assert found is not None and abs(found.value) < 0.015
+    assert not any("than to" in one for one in headlines(check.answers, True))
+
+
+def test_of_a_rudder_nothing_is_told_where_the_speed_is_not_known():
+    run = yawing(0.5)
+    gone = np.full(run.t.shape, np.nan)
+    blind = dataclasses.replace(run, x=gone, y=gone, u=gone, v=gone)
+    check = check_run(blind, [], ("csv", "a table", "vessel"), {})
+    assert check.answers.lag_of_turning is not None and check.answers.asymmetry is None
+
+
 WAYS = {0.5: "less to starboard than to port", 2.0: "less to port than to starboard"}
 
 
 @pytest.mark.parametrize("to_starboard", WAYS)
 def test_a_rudder_that_does_less_one_way_is_told_the_right_way(to_starboard):
     """Of a boat with one rudder the sides are its two ways."""
-    rng = np.random.default_rng(3)
-    t = 0.2 * np.arange(3000)
-    order = np.repeat(rng.choice([-0.4, -0.2, 0.0, 0.2, 0.4], 100), 30)
-    wanted = np.where(order > 0, to_starboard, 1.0) * 0.5 * order
-    rate = np.zeros(t.size)
-    for k in range(1, t.size):
-        rate[k] = rate[k - 1] + 0.2 * (wanted[k - 1] - rate[k - 1])
-    rate += rng.normal(0.0, 0.002, t.size)
-    psi = np.cumsum(0.2 * rate)
-    x, y = np.cumsum(0.2 * np.cos(psi)), np.cumsum(0.2 * np.sin(psi))
-    orders = {"rudder": order, "propeller": 10 + 0 * t}
-    everything = np.ones(t.shape, bool)
-    run = Trajectory(
-        t, x, y, psi, 1 + 0 * t, 0 * t, rate, commanded=orders, executed={}, extra={},
-        valid=everything,
-    )  # fmt: skip
-    check = check_run(run, [], ("csv", "a table", "vessel"), {})
+    check = check_run(yawing(to_starboard), [], ("csv", "a table", "vessel"), {})
     sentences = headlines(check.answers, True)
     page = check_report([check], ["as it is"], {})
     assert "angles (deg)" in page and "orders (%)" in page

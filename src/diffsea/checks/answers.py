@@ -422,21 +422,33 @@ def _asymmetry(
 ) -> IntervalEstimate | None:
     """How unlike port and starboard are, by the turning rate's answer to each of them.
 
-    Turning is damped by more than in proportion, so that a second regression has the magnitude
-    times the rate that the first one makes of the orders as a column beside them.
+    Turning is damped by more than in proportion, and by speed, so that a second regression has the
+    rate that the first one makes of the orders, times its magnitude and times the speed, as
+    columns beside them. A rudder turns in proportion to the speed that it is ordered at: the turns
+    to one side may all be slower. None of one whose speed is not known.
     """
+    speeds = _relative_speeds(pieces)
+    if speeds is None and pieces[0].orders.sides is None:
+        return None
+    speeds = [np.ones_like(piece.rate) for piece in pieces] if speeds is None else speeds
+    rates = [np.where(np.isfinite(s), p.rate, np.nan) for p, s in zip(pieces, speeds, strict=True)]
+    speeds = [np.where(np.isfinite(speed), speed, 1.0) for speed in speeds]
     late = lambda order: _late(order, lag, scales.interval)
-    columns = [np.stack([late(side) for side in _sides(piece, lag)]) for piece in pieces]
+    columns = [
+        np.stack([late(side) for side in _sides(piece, lag, speed)])
+        for piece, speed in zip(pieces, speeds, strict=True)
+    ]
     first = np.concatenate(
-        [_block_moments(c, p.rate, scales) for c, p in zip(columns, pieces, strict=True)]
+        [_block_moments(c, rate, scales) for c, rate in zip(columns, rates, strict=True)]
     ).sum(0)
     if np.linalg.cond(first[:2, :2]) > _MOST_ALIKE:
         return None
     gains = np.linalg.lstsq(first[:3, :3], first[:3, 3], rcond=None)[0]
     moments = []
-    for both, piece in zip(columns, pieces, strict=True):
-        rate = gains[:2] @ both + gains[2]
-        moments.append(_block_moments(np.vstack([both, rate * np.abs(rate)]), piece.rate, scales))
+    for both, speed, rate in zip(columns, speeds, rates, strict=True):
+        made = gains[:2] @ both + gains[2]
+        beside = [made * np.abs(made), made * (speed - 1.0)]
+        moments.append(_block_moments(np.vstack([both, *beside]), rate, scales))
     blocks = np.concatenate(moments)
     value = _ratio(blocks.sum(0))
     times = rng.integers(len(blocks), size=(DRAWS, len(blocks)))
@@ -448,14 +460,22 @@ def _asymmetry(
     return IntervalEstimate(float(value), float(low), float(high), "1")
 
 
-def _sides(piece: _UsedSpan, lag: LagOfAnswer) -> tuple[Samples, Samples]:
-    """Orders that turn to starboard and to port: the thrusters', or the rudder's either way."""
+def _relative_speeds(pieces: Sequence[_UsedSpan]) -> list[Samples] | None:
+    """Speeds over their mean size, NaN where not known; None where hardly any is."""
+    everything = np.concatenate([piece.speed for piece in pieces])
+    known = everything[np.isfinite(everything)]
+    usual = float(np.mean(np.abs(known))) if known.size > 0.5 * everything.size else 0.0
+    return [piece.speed / usual for piece in pieces] if usual > 0 else None
+
+
+def _sides(piece: _UsedSpan, lag: LagOfAnswer, speed: Samples) -> tuple[Samples, Samples]:
+    """What turns to starboard and to port: the thrusters' orders, or a rudder's times the speed."""
     if piece.orders.sides is not None:
         port, starboard = piece.orders.sides
         return (starboard, port) if lag.opposite else (port, starboard)
     turning = piece.orders.turning
     assert turning is not None
-    turning = -turning if lag.opposite else turning
+    turning = speed * (-turning if lag.opposite else turning)
     return np.maximum(turning, 0.0), np.maximum(-turning, 0.0)
 
 

@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import plotly.graph_objects as go
 
 from diffsea.channels import steers
 from diffsea.checks import Answers, LogCheck, PooledCheck
-from diffsea.checks.answers import IntervalEstimate, LagOfAnswer, SteadyPoint
+from diffsea.checks.answers import LEVEL, IntervalEstimate, LagOfAnswer, SteadyPoint
 from diffsea.checks.open_questions import OpenQuestion
 from diffsea.checks.shares import OrderScale
 from diffsea.recordings import Finding
@@ -34,7 +35,7 @@ from diffsea.trajectory import in_words
 
 DRAWN_ROWS = 1500  # of a run: more cannot be told apart
 DRAWN_SAMPLES = 800  # behind the points of a curve
-LEAST_RATIO = 0.005  # of sides, one per cent between them
+LEAST_RATIO = 0.015  # of sides, 3 % between them: no answer is of first order to less than that
 MOST_ALIKE = 5.0  # per cent within which sides that are not told apart are said to be alike
 LEAST_AHEAD = 0.05  # of full order, from which on a speed is worth a sentence
 ROW_HEIGHT = 26  # pixels, of a channel in the picture of quality
@@ -176,11 +177,15 @@ def headlines(answers: Answers, commanded: bool, reversed_turning: bool = False)
 def _asymmetry_sentences(asymmetry: IntervalEstimate, paired: bool) -> list[str]:
     """Which side is stronger, or that none is by much; nothing where that cannot be told.
 
-    `paired` thrusters differ; of a rudder what it does to starboard and to port.
+    `paired` thrusters differ; of a rudder what it does to starboard and to port. A stronger side is
+    named where chance makes one so unlike once in a hundred logs: of ten, one would be at `LEVEL`.
     """
+    errors = NormalDist().inv_cdf
+    rarely = errors(0.995) / errors(0.5 + 0.5 * LEVEL)
+    sure = lambda end: asymmetry.value + rarely * (end - asymmetry.value)
     largest = max(abs(asymmetry.low), abs(asymmetry.high))
     less = lambda ratio: 100 * 2 * abs(ratio) / (1 + abs(ratio))  # per cent of the stronger side
-    if asymmetry.low <= 0 <= asymmetry.high or abs(asymmetry.value) < LEAST_RATIO:
+    if sure(asymmetry.low) <= 0 <= sure(asymmetry.high) or abs(asymmetry.value) < LEAST_RATIO:
         if less(largest) > MOST_ALIKE:
             return []
         what = "Port and starboard" if paired else "Turns to port and to starboard"
