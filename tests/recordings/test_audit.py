@@ -585,8 +585,9 @@ def test_runs_with_few_channels_or_samples_are_judged_by_what_they_have():
 
 
 PUBLISHED = {
-    # Thrust labelled "left" turns the boat to port; the compass errs with heading.
-    "blueboat/fixed_00000220.csv": {"swapped-actuators"},
+    # Thrust labelled "left" turns the boat to port; the compass errs with heading. Fixes of one are
+    # held, and some are lost.
+    "blueboat/fixed_00000220.csv": {"swapped-actuators", "gap"},
     "blueboat/fixed_00000226.csv": {"swapped-actuators", "hard-iron"},
     "blueboat/fixed_00000235.csv": {"swapped-actuators"},
     "blueboat/fixed_00000232.csv": {"hard-iron"},
@@ -621,7 +622,7 @@ def test_repaired_mappings_leave_only_what_no_mapping_can_repair(name):
     if not (DATA / name).exists():
         pytest.skip(f"{DATA / name} is absent: the published recordings stay outside")
     mapping = ROOT / "experiments" / name.split("/")[0] / "mapping_repaired.toml"
-    assert set(kinds(read_recording(DATA / name, mapping))) <= {"hard-iron", "scale"}
+    assert set(kinds(read_recording(DATA / name, mapping))) <= {"hard-iron", "scale", "gap"}
 
 
 @pytest.mark.parametrize("channels, shape", [(("r",), "zigzag"), (("x", "y"), "random")])

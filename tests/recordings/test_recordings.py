@@ -445,17 +445,40 @@ def test_a_velocity_is_read_from_its_speed_and_course(place):
     np.testing.assert_allclose(run.u + 1j * run.v, turned, atol=1e-12)
 
 
-def test_a_velocity_over_ground_that_is_held_counts_where_it_is_new(place):
-    """A receiver of 2 Hz in rows of 10 Hz: held, it would turn with the heading in between."""
+@pytest.fixture
+def held() -> pd.DataFrame:
+    """A receiver of 2 Hz in rows of 10 Hz, on its way north: what is held would turn in between."""
     rng = np.random.default_rng(0)
     t, fixes = 0.1 * np.arange(600), np.repeat(np.arange(120), 5)
     speed, course = 1.5 + 0.1 * rng.standard_normal(120), 20 * np.sin(0.1 * np.arange(120)) + 40
-    table = {"t": t, "p": 0.3 * np.sin(0.3 * t), "s": speed[fixes], "c": course[fixes]}
-    run = read_recording(
-        place(pd.DataFrame(table).to_csv(index=False)), place(OVER_GROUND, "map.toml")
-    )
-    assert np.flatnonzero(np.isfinite(run.u)).tolist() == list(range(0, 600, 5))
+    east = np.where(np.arange(120) < 60, 3.0, 3.0 + 0.01 * rng.standard_normal(120))
+    return pd.DataFrame({
+        "t": t, "p": 0.3 * np.sin(0.3 * t), "s": speed[fixes], "c": course[fixes],
+        "x": np.cumsum(speed)[fixes], "y": east[fixes],
+    })  # fmt: skip
+
+
+def test_what_a_slower_sensor_holds_counts_where_it_is_new(place, held):
+    mapping = OVER_GROUND + "x = 'x'\ny = 'y'\n"
+    run = read_recording(place(held.to_csv(index=False)), place(mapping, "map.toml"))
+    for channel in ("x", "y", "u", "v"):
+        known = np.isfinite(getattr(run, channel))
+        assert np.flatnonzero(known).tolist() == list(range(0, 600, 5)), channel
     assert np.isfinite(run.psi).all()
+    told = [note for note in run.provenance if "held between samples" in note]
+    assert told == [
+        f"{names} held between samples: new in 120 of 600 rows, empty in the others"
+        for names in ("x, y", "u, v")
+    ]
+
+
+def test_what_is_coarse_or_stands_is_not_held(held):
+    """Rounded to a tenth, a value stays for some rows; and a vessel may lie still."""
+    t = held["t"].to_numpy()
+    coarse = np.round(2.0 * np.sin(0.05 * t), 1)
+    still = np.where(t < 30.0, 0.0, 0.01 * np.sin(t))
+    run = read_recording(held.assign(u=coarse, v=0.0, psi=still)[["t", "u", "v", "psi"]])
+    assert np.isfinite([run.u, run.v, run.psi]).all()
 
 
 def test_mapping_repairs_late_channels_and_earth_axes(place):

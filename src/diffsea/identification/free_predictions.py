@@ -2,8 +2,8 @@
 
 A normalised innovation says how well a model predicts one sample; gusts and sensor noise that a fit
 may choose can flatter it. A free prediction knows nothing but the orders, or the measured
-actuation, of what follows the state in which it starts: noise cannot help there. The state is as
-recorded, or, where velocities were not, as the filter has it by what came before.
+actuation, of what follows the state in which it starts: noise cannot help there. The state is as the
+filter has it by what came before.
 """
 
 import dataclasses
@@ -275,9 +275,9 @@ def expected_squares(
 ) -> Float[np.ndarray, "2"]:
     """Mean squares of position (m^2) and heading (rad^2) missed by `horizon` s of free prediction.
 
-    The covariance that gusts add along the linearised motion from a state measured by its sensors,
-    or filtered where velocities were not recorded, seen by them once more at the end; mean over
-    starts along the data once the filter has settled, NaN where there is none.
+    The covariance that gusts add along the linearised motion from a filtered state, seen by the
+    sensors once more at the end; mean over starts along the data once the filter has settled, NaN
+    where there is none.
     """
     run = problem.run_filter(coordinates, noise)
     F, data = np.asarray(run.F), problem.dataset
@@ -289,14 +289,9 @@ def expected_squares(
     A[:, 3:6, 6:] += half
     A[:, 6:, 6:] = np.einsum("ri,ij->rij", gusts.decay, np.eye(3))
     starts, ends = _spans_of_rows(problem, horizon)
-    sensor, slow = np.exp(2 * np.asarray(noise.sensor)), np.exp(2 * np.asarray(noise.slow))
-    measured = np.diag(np.concatenate([sensor, slow]))
-    covariance, counts = np.asarray(run.covariance).copy(), np.ones(len(F), bool)
+    covariance, counts = np.asarray(run.covariance), np.ones(len(F), bool)
     for rows in filter(len, data.rows_of_runs):
-        if np.asarray(data.known)[rows, 3:5].any(0).all():
-            covariance[rows] = measured
-        else:
-            counts[rows] = is_settled(covariance[rows])
+        counts[rows] = is_settled(covariance[rows])
     starts, ends = starts[counts[starts]], ends[counts[starts]]
     if not len(starts):
         return np.full(2, np.nan)
@@ -305,6 +300,7 @@ def expected_squares(
         going = starts + step < ends
         rows = (starts + step)[going]
         P[going] = A[rows] @ P[going] @ A[rows].mT + Q[rows]
+    sensor = np.exp(2 * np.asarray(noise.sensor))
     variance = np.diagonal(P, axis1=1, axis2=2) + np.append(sensor, np.zeros(3))
     return np.array([variance[:, :2].sum(1).mean(), variance[:, 2].mean()])
 

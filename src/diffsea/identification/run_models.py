@@ -57,25 +57,21 @@ _vessel_at = eqx.filter_jit(vessel_at)
 
 def filtered_states(
     problem: Problem, coordinates: Coordinates, noise: Noise, runs: Sequence[Trajectory]
-) -> list[Motion | None]:
+) -> list[Motion]:
     """What a filter makes of the motion in each of a problem's runs, once it has settled.
 
-    None of a run whose velocities were recorded. Those that are derived from fixes miss the sway of
-    a vessel by as much as a turn makes of it: predictions would err by their first states, whatever
-    the model. Between the rows that are filtered motion is linear; NaN where the filter has just
-    begun, in a rough guess.
+    One noisy sample of a yaw rate, or a sway that is derived from fixes, would be most of the error
+    of a prediction, whatever the model. Between the rows that are filtered motion is linear; NaN
+    where the filter has just begun, in a rough guess.
     """
-    if all(has_velocities(run) for run in runs):
-        return [None] * len(runs)
     filtered = problem.run_filter(coordinates, noise)
     states, covariance = np.asarray(filtered.state), np.asarray(filtered.covariance)
     vessel, _ = _vessel_at(problem.base, problem.layout, coordinates)
     times = np.asarray(without_time_errors(vessel, problem.dataset)[1].run_time)
-    found: list[Motion | None] = []
+    found: list[Motion] = []
     for run, rows in zip(runs, problem.dataset.rows_of_runs, strict=False):
         own = np.where(is_settled(covariance[rows])[:, None], states[rows], np.nan)
-        motion = None if has_velocities(run) else _motion_at(run.counted().t, times[rows], own)
-        found.append(motion)
+        found.append(_motion_at(run.counted().t, times[rows], own))
     return found
 
 
@@ -83,11 +79,6 @@ def is_settled(covariance: Float[np.ndarray, "row 9 9"]) -> Bool[np.ndarray, "ro
     """In which rows of a run a filter knows the speeds about as well as it usually does."""
     speeds = covariance[:, 3, 3] + covariance[:, 4, 4]
     return speeds <= UNSETTLED * np.median(speeds)
-
-
-def has_velocities(run: Trajectory) -> bool:
-    """Whether speeds ahead and to the side were both recorded."""
-    return run.has("u") and run.has("v")
 
 
 def _motion_at(

@@ -220,7 +220,7 @@ class Study:
 
     def start_states(
         self, recordings: Sequence[Trajectory], test: Sequence[Trajectory]
-    ) -> list[Motion | None]:
+    ) -> list[Motion]:
         """States in which the vessel file's predictions begin: held out runs, else those fitted."""
         if self.problem is None:
             return []

@@ -12,6 +12,7 @@ from diffsea.trajectory import Samples, Trajectory
 
 _MOST_KNOTS = 400  # windows per comparison: enough for any standard error wanted here
 _FEWEST_SAMPLES = 20  # of a channel that is to be worked with
+_ONE_SIZE = 1.01  # steps that differ by less are alike
 _BRIDGED_INTERVALS = 3.5  # of a channel's own or the file's: three, and some jitter of the clock
 
 
@@ -86,17 +87,21 @@ def motion_of(trajectory: Trajectory) -> MeasuredMotion:
     return MeasuredMotion(run.t, values, known)
 
 
-def fresh_samples(series: Samples) -> Bool[np.ndarray, "time"]:
-    """Which samples are new, where a slower sensor's value is repeated regularly."""
-    everything = np.ones(series.shape, dtype=bool)
-    steps = np.diff(series)
+def fresh_samples(*series: Samples) -> Bool[np.ndarray, "time"]:
+    """Which samples are new, where a slower sensor's value is repeated regularly.
+
+    Of several series of one sensor, those in which any of them is new.
+    """
+    everything = np.ones(series[0].shape, dtype=bool)
+    steps = np.sum(np.abs(np.diff(series)), axis=0)
     new = np.concatenate([[True], steps != 0])
     lengths = np.diff(np.flatnonzero(new))
-    changes = np.abs(steps[np.isfinite(steps) & (steps != 0)])
+    changes = steps[np.isfinite(steps) & (steps != 0)]
     if lengths.size < 20 or changes.size < 20:
         return everything
-    # Steps of mostly one size are rounding: such a value is not held, it is just coarse.
-    if np.median(changes) < 1.5 * np.min(changes):
+    # Steps of mostly one size are rounding: such a value is not held, it is just coarse. Those of
+    # a position at a steady speed are never quite alike.
+    if np.median(changes) < _ONE_SIZE * np.min(changes):
         return everything
     usual = np.median(lengths)
     return everything if usual < 2 or np.percentile(lengths, 90) > 2 * usual else new

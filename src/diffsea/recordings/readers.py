@@ -50,6 +50,7 @@ from diffsea.trajectory import MOTION_CHANNELS, ReadReport, RowsLeftOut, Samples
 _EPOCH = 1e8  # s: a clock that has run for three years counts from an epoch
 _LONGEST_NAME = 40  # letters, of a column in a message
 _MOST_NAMES = 40  # of columns in a message
+_SAMPLED_TOGETHER = (("latitude", "longitude"), ("x", "y"), ("u", "v"), ("psi",), ("r",))
 _FRAME = "<DataFrame>"  # the place that messages name for a table in memory
 
 
@@ -202,6 +203,7 @@ def _from_table(
             parts = [numeric_column(table, name, place, first_line) for name in column.names]
             raw = column.made_of(channel, parts)
         values[channel] = raw * column.gain + column.shift
+    notes += _leave_out_held(values)
     used = {name for column in channels.values() for name in column.names}
     unused = [str(name) for name in table.columns if name not in used and str(name).strip()]
     if unused:
@@ -218,6 +220,28 @@ def _from_table(
         notes.append(note)
     run = _with_mapped_repairs(_assemble(values, place, first_line, notes, name), mapping)
     return _with_unused(run, unused)
+
+
+def _leave_out_held(values: dict[str, Samples]) -> list[str]:
+    """Empty what a slower sensor's column only holds until its next sample; and what is told of it.
+
+    A fix that is held is none: it would be late by as long as it is held, and turn with the vessel
+    where velocities are along earth axes.
+    """
+    told = []
+    for channels in _SAMPLED_TOGETHER:
+        there = [name for name in channels if name in values]
+        if not there:
+            continue
+        known = np.any([np.isfinite(values[name]) for name in there], axis=0)
+        fresh = known & fresh_samples(*(values[name] for name in there))
+        if np.array_equal(fresh, known):
+            continue
+        for name in there:
+            values[name] = np.where(fresh, values[name], np.nan)
+        share = f"{np.count_nonzero(fresh)} of {np.count_nonzero(known)} rows"
+        told.append(f"{', '.join(there)} held between samples: new in {share}, empty in the others")
+    return told
 
 
 def _with_unused(run: Trajectory, unused: Sequence[str]) -> Trajectory:
@@ -398,11 +422,7 @@ def _with_mapped_repairs(run: Trajectory, mapping: Mapping) -> Trajectory:
         elif name in channels:
             channels[name] = np.interp(later, t, channels[name], left=np.nan, right=np.nan)
     if mapping.velocity_axes == "earth":
-        flow = channels["u"] + 1j * channels["v"]
-        # Held until the next one, they would turn with the vessel, and none would seem held.
-        held = ~(fresh_samples(channels["u"]) | fresh_samples(channels["v"]))
-        body = np.array(flow * np.exp(-1j * channels["psi"]))
-        body[held] = np.nan
+        body = (channels["u"] + 1j * channels["v"]) * np.exp(-1j * channels["psi"])
         channels |= {"u": body.real, "v": body.imag}
         notes.append("u and v turned from earth into body axes by the heading")
     return with_channels(run, channels, provenance=(*run.provenance, *notes))

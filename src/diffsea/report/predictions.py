@@ -1,8 +1,8 @@
 """Runs against what models predict of them, open loop: errors, tables of these, and curves.
 
-A prediction starts in a measured state and knows nothing but the orders (or the measured
-actuation), so that its error is the model's own; it grows with time, and is told by horizon. Where
-velocities were not measured, it starts in what a filter makes of what came before.
+A prediction starts in what a filter makes of what came before, or in a measured state where
+nothing was fitted, and knows nothing but the orders (or the measured actuation), so that its error
+is the model's own; it grows with time, and is told by horizon.
 """
 
 import dataclasses
