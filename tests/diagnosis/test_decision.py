@@ -10,6 +10,7 @@ from diffsea import EFFECTS
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.localisation import Bin, Cell
+from diffsea.diagnosis.record import _reason
 from diffsea.diagnosis.refits import with_mirrors
 from diffsea.diagnosis.score import NullDistribution
 from diffsea.diagnosis.screening import Screening
@@ -67,6 +68,15 @@ def test_what_predicts_the_motion_worse_gets_no_name_and_the_next_one_does():
     assert decide(listed(chance, near), None) is chance
     little = dataclasses.replace(best, motion=dataclasses.replace(harm, ratio={20.0: 1.09}))
     assert decide(listed(little, near), None) is little
+
+
+def test_a_size_that_may_as_well_be_zero_gets_no_name():
+    """A fit with it ended far better, and yet with none of it: what was worse was the other fit."""
+    best, near = judged("gyro-bias", 160.0), judged("current", 155.0)
+    nothing = dataclasses.replace(best, zero_p_value=0.3)
+    assert decide(listed(best, near), None) is best and best.still_stands(NEEDED)
+    assert decide(listed(nothing, near), None) is near and not nothing.still_stands(NEEDED)
+    assert _reason(nothing, 1.0, NEEDED) == "its size may as well be zero"
 
 
 def test_of_two_that_are_supported_nearly_as_well_the_motion_tells():

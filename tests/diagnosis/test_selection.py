@@ -16,7 +16,7 @@ from diffsea.diagnosis.audited import AuditedEffect, audited_effects
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.record import summary
-from diffsea.diagnosis.refits import judge_exchanged
+from diffsea.diagnosis.refits import judge_exchanged, make_hypothesis
 from diffsea.diagnosis.score import linearise_model
 from diffsea.diagnosis.screening import screen
 from diffsea.diagnosis.selection import (
@@ -352,3 +352,17 @@ def test_a_name_is_not_had_for_the_progress_of_a_fit(data, nominal, found):
     assert better is not None and better.deviance == pytest.approx(nominal.deviance, abs=1.0)
     promised = with_statistic(AcceptedEffect(stalled, found.short_list), early_drop)
     assert resume_stalled_fit(data.train, early, promised.hypothesis) is None
+    none_of_it = dataclasses.replace(stalled, candidate=promised.hypothesis.candidate, wald=1.0)
+    assert resume_stalled_fit(data.train, early, none_of_it) is not None
+
+
+def test_what_is_next_to_none_of_an_effect_may_as_well_be_zero(data, nominal, found):
+    bias = next(one.hypothesis for one in found.effects if one.name == "gyro-bias")
+    # At the noise of the better model the data would lose more than by a noise of its own.
+    assert bias.wald > bias.deviance_drop > 100 and bias.zero_p_value < 1e-6
+    place = data.train.layout.indices(("gyro-bias",))
+    gone = np.array(bias.estimate.coordinates)
+    gone[place] *= 0.01  # as if the fit had ended with next to none of it
+    absent = dataclasses.replace(bias.estimate, coordinates=gone)
+    none = make_hypothesis(data.train, nominal, absent, bias.candidate)
+    assert none.wald == pytest.approx(1e-4 * bias.wald, rel=1e-6) and none.zero_p_value > 0.5

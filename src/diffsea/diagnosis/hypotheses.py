@@ -12,6 +12,7 @@ from diffsea.identification.holdout import Gain
 from diffsea.vessel.effects import EFFECTS, catalogue_name
 
 
+SIZE_LEVEL = 0.01  # of the test that a size is zero
 NEARLY_ONE_SIZE = 0.5  # of what an effect explains is due to sizes that differ, at most
 
 
@@ -30,6 +31,8 @@ class Hypothesis:
     constancy: Constancy | None = None  # of its size; None where it was not fitted to its end
     instances: int = 1  # sets of coordinates: one for each run, for an environment of its own
     inflation: float = 1.0  # variance of its own scores over the information, at least one
+    wald: float = np.inf  # Wald's statistic of its amounts: what the data lose if they were zero
+    zero_p_value: float = 0.0  # of the same by errors that count correlation in time
     exchanged: Gain | None = None  # on the training data, with the held-out ones to train on
     motion: MotionChange | None = None  # of free predictions; None where not fitted to its end
     held_out_motion: MotionChange | None = None  # of the held-out runs, where the other is of all
@@ -55,6 +58,14 @@ class Hypothesis:
         if self.constancy is not None and self.constancy.holds:
             return True
         return self.predicts_motion_better and self.has_nearly_one_size
+
+    @property
+    def is_there(self) -> bool:
+        """Whether its size is not one that may as well be zero.
+
+        Where a fit with it ends far better, and yet with none of it, the fit was what was worse.
+        """
+        return self.zero_p_value < SIZE_LEVEL
 
     @property
     def statistic(self) -> float:
@@ -146,14 +157,15 @@ class Hypothesis:
     @property
     def stands(self) -> bool:
         """Whether it has one size, predicts motion no worse, and held-out data speak for it."""
-        return self.has_one_size and self.predicts_motion and self.has_held_out_support
+        is_sound = self.is_there and self.has_one_size and self.predicts_motion
+        return is_sound and self.has_held_out_support
 
     def still_stands(self, needed: float) -> bool:
         """Whether an effect that held-out data spoke for once is still needed beside others.
 
         Then they may leave it open; against it speaks a lack of evidence, or their loss.
         """
-        if self.gain is None or not (self.is_judged and self.has_one_size):
+        if self.gain is None or not (self.is_judged and self.is_there and self.has_one_size):
             return False
         if not self.predicts_motion:
             return False

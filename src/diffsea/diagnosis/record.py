@@ -336,6 +336,8 @@ def _reason(one: Hypothesis, inflation: float, needed: float) -> str:
         return "too little evidence"
     if one.gain is None:
         return "explains far less than the best"
+    if not one.is_there:
+        return "its size may as well be zero"
     if not one.gain.clear:
         return "it does not predict held-out data better"
     if one.constancy is not None and not one.has_one_size:

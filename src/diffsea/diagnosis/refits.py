@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
+from scipy.stats import chi2
 
 from diffsea.budget import on_every_core
 from diffsea.diagnosis.constancy import constancy_test
@@ -253,6 +255,7 @@ def make_hypothesis(
     own = [list(fitted.index).index(k) for k in index]
     plain = np.diag(np.linalg.inv(fitted.precision))[own]
     inflation = max(1.0, float(np.mean(np.diag(fitted.covariance)[own] / plain)))
+    wald, zero_p_value = _test_of_zero(problem, fitted, effect)
     return Hypothesis(
         effect=effect.name,
         estimate=fitted,
@@ -264,7 +267,24 @@ def make_hypothesis(
         is_physical=is_physical(problem, fitted, candidate),
         instances=instances,
         inflation=inflation,
+        wald=wald,
+        zero_p_value=zero_p_value,
     )
+
+
+def _test_of_zero(problem: Problem, fitted: Estimate, effect: Effect) -> tuple[float, float]:
+    """Wald's statistic of an effect's amounts, and its p-value where errors may be correlated."""
+    places = np.array(problem.layout.indices((effect.name,)))
+    places = places.reshape(problem.layout.instances(effect), -1)
+    places = places[recorded_instances(problem, effect)][:, effect.amounts].ravel()
+    order = [list(fitted.index).index(k) for k in places]
+    amounts = fitted.coordinates[places]
+
+    def statistic(covariance: Float[np.ndarray, "free free"]) -> float:
+        return float(amounts @ np.linalg.solve(covariance[np.ix_(order, order)], amounts))
+
+    coloured = statistic(fitted.covariance)
+    return statistic(np.linalg.inv(fitted.precision)), float(chi2.sf(coloured, len(amounts)))
 
 
 def is_physical(problem: Problem, fitted: Estimate, candidate: Candidate) -> bool:

@@ -187,11 +187,12 @@ def find_pair(
 def resume_stalled_fit(problem: Problem, current: Estimate, best: Hypothesis) -> Estimate | None:
     """A better fit without the effect, where the current one had stopped early; else None.
 
-    Sought from where the fit with the effect ended, if that gained more than scores promise: a
-    name is not to be had for the progress of a fit.
+    Sought from where the fit with the effect ended, if that gained more than scores promise, or
+    than its size there accounts for: a name is not to be had for the progress of a fit.
     """
     score = best.candidate.score
-    if best.deviance_drop < SELDOM_GAINED * score.statistic * score.inflation:
+    promised = min(score.statistic * score.inflation, best.wald)
+    if best.deviance_drop < SELDOM_GAINED * promised:
         return None
     again = refit_without(problem, best.estimate, [best.effect], current)
     gained = current.deviance - again.deviance

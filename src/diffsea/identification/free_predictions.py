@@ -2,8 +2,8 @@
 
 A normalised innovation says how well a model predicts one sample; gusts and sensor noise that a fit
 may choose can flatter it. A free prediction knows nothing but the orders, or the measured
-actuation, of what follows the state in which it starts: noise cannot help there. The state is as the
-filter has it by what came before.
+actuation, of what follows the state in which it starts: noise cannot help there. That state is what
+the filter makes of what came before.
 """
 
 import dataclasses
