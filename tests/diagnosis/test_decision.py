@@ -108,6 +108,15 @@ def test_the_motion_does_not_make_a_wind_of_a_property_of_the_hull():
     assert decide(listed(hull, wind), None, lambda one, other: better) is hull
 
 
+def test_a_law_of_the_vessel_comes_before_a_record_that_is_off():
+    """Of two that are supported nearly as well; not one of the same actuator's orders."""
+    record = judged("feedback-error:steering-scale", 160.0)
+    law, order = judged("rudder-interaction", 155.0), judged("actuator-bias:steering", 155.0)
+    assert decide(listed(record, law), None) is law
+    assert decide(listed(record, order), None) is record
+    assert decide(listed(record, judged("rudder-interaction", 145.0)), None) is record
+
+
 def test_a_size_that_is_nearly_one_does_where_the_motion_is_predicted_better():
     better = MotionChange({20.0: 0.3}, {20.0: ChanceOfLoss(0.0, 0.0)})
     assert better.is_better and not better.is_worse

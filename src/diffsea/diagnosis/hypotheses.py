@@ -10,6 +10,7 @@ from diffsea.identification.estimates import Estimate
 from diffsea.identification.free_predictions import MotionChange
 from diffsea.identification.holdout import Gain
 from diffsea.vessel.effects import EFFECTS, catalogue_name
+from diffsea.vessel.effects.entry import Place
 
 
 SIZE_LEVEL = 0.01  # of the test that a size is zero
@@ -114,12 +115,16 @@ class Hypothesis:
     def is_plainer_than(self, other: "Hypothesis") -> bool:
         """Whether it is to be believed of two that are supported nearly as well.
 
-        A part rather than the whole, and a property of hull or actuators rather than the weather:
-        no vessel is exactly what its file says, whereas weather is there or it is not.
+        A part rather than the whole, a property of hull or actuators rather than the weather, and
+        a law of the whole vessel rather than a record of an actuator that is off: no vessel is
+        exactly what its file says, whereas weather is there or it is not, and a record right or
+        wrong.
         """
-        families = EFFECTS[self.effect].family, EFFECTS[other.effect].family
-        is_own = families[0] in ("hull", "actuator") and families[1] == "environment"
-        return is_own or self.is_part_of(other)
+        effect, beside = EFFECTS[self.effect], EFFECTS[other.effect]
+        is_own = effect.family in LAWS and beside.family == "environment"
+        is_of_all = effect.family in LAWS and effect.place == Place()
+        is_law = is_of_all and catalogue_name(other.effect) == "feedback-error"
+        return is_own or is_law or self.is_part_of(other)
 
     def share_mimicked_by(self, other: "Hypothesis") -> float:
         """Share of its information that the other reproduces, to first order, 0 to 1."""
