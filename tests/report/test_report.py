@@ -55,7 +55,7 @@ from diffsea.report.quantities import (
 from diffsea.report.wording import words
 from diffsea.report.wording.horizons import horizon_line
 from diffsea.report.wording.terminal import verdict_text
-from diffsea.report.wording.verdicts import unimproved_sentence
+from diffsea.report.wording.verdicts import single_step_sentence, unimproved_sentence
 from diffsea.report.wording.words import phrase
 from diffsea.vessel.files import build
 
@@ -614,6 +614,15 @@ def test_a_page_says_where_what_was_found_does_not_improve_the_motion():
 
 
 @pytest.mark.parametrize("held_out", [True, False])
+def test_what_explains_single_steps_alone_is_told_unless_another_kind_of_it_was_accepted():
+    refused = {"name": "added-mass-coupling", "predicts_motion": False}
+    told = {"effects": [], "candidates": [refused, refused]}
+    assert single_step_sentence(told) == (
+        "Added mass coupling explains single steps, but not the motion: no name is given."
+    )
+    assert single_step_sentence(told | {"effects": [{"name": "added-mass-coupling"}]}) == ""
+
+
 def test_fit_page(held_out):
     runs, test = recordings()
     quality = {"train": 1.02} | ({"test": 1.31} if held_out else {})

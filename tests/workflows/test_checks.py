@@ -294,6 +294,17 @@ def test_a_certain_bias_of_the_gyro_is_no_difference_of_the_sides():
     np.testing.assert_array_equal(found[0.1].run.r, boat.every(0.1).r + 0.1)
 
 
+def test_what_a_gyro_is_late_is_no_dead_time_of_the_boat():
+    boat = noisy(drive(DELAY, dock=0.0, after=0.0))
+    late = dataclasses.replace(boat, r=np.interp(boat.t - 1.0, boat.t, boat.r))
+    run = recorded(late)
+    check = check_run(run, audit(run), ("csv", "a table", "vessel"), {})
+    assert "sensor-latency" in {one.kind for one in check.audit}
+    found = check.answers.lag_of_turning
+    assert found is not None and found.delay.value == pytest.approx(DELAY, abs=0.15)
+    assert any("taken off" in note and "later" in note for note in check.notes)
+
+
 def test_a_bias_that_is_not_certain_stays_and_is_said():
     boat = noisy(drive(DELAY, dock=0.0, after=0.0))
     run = recorded(dataclasses.replace(boat, r=boat.r + 0.1))

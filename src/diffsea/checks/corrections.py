@@ -8,7 +8,7 @@ from diffsea.recordings.auditing.repair import hindrance
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 
 
-_KINDS = ("unit", "sign", "scale", "gyro-bias", "heading-offset")  # in this order
+_KINDS = ("unit", "sign", "scale", "gyro-bias", "heading-offset", "sensor-latency")  # in this order
 _OF_ANSWERS = frozenset({"r", "u"})  # channels from which turning, sides and speed are told
 
 
@@ -20,7 +20,7 @@ class CorrectedMotion(NamedTuple):
 
 
 def correct_motion(run: Trajectory, findings: Sequence[Finding]) -> CorrectedMotion:
-    """The run with the certain offsets, scales, units and signs of its motion put right.
+    """The run with the certain offsets, scales, delays, units and signs of its motion put right.
 
     Those that are not certain stay in, and what rests on them is said.
     """

@@ -146,9 +146,13 @@ def _share_left(summary: Record) -> str:
 
 
 def single_step_sentence(summary: Record) -> str:
-    """Names that were refused because free predictions of the motion get worse with them."""
+    """Names that were refused because free predictions of the motion get worse with them.
+
+    Not those of which another kind was accepted.
+    """
     refused = [row for row in summary["candidates"] if row.get("predicts_motion") is False]
-    names = list(dict.fromkeys(as_words(row["name"]) for row in refused))
+    given = {one["name"] for one in named_effects(summary)}
+    names = list(dict.fromkeys(as_words(r["name"]) for r in refused if r["name"] not in given))
     if not names:
         return ""
     verb = "explains" if len(names) == 1 else "explain"
