@@ -613,7 +613,6 @@ def test_a_page_says_where_what_was_found_does_not_improve_the_motion():
     assert told in " ".join(verdict_text(whole).split())
 
 
-@pytest.mark.parametrize("held_out", [True, False])
 def test_what_explains_single_steps_alone_is_told_unless_another_kind_of_it_was_accepted():
     refused = {"name": "added-mass-coupling", "predicts_motion": False}
     told = {"effects": [], "candidates": [refused, refused]}
@@ -623,6 +622,7 @@ def test_what_explains_single_steps_alone_is_told_unless_another_kind_of_it_was_
     assert single_step_sentence(told | {"effects": [{"name": "added-mass-coupling"}]}) == ""
 
 
+@pytest.mark.parametrize("held_out", [True, False])
 def test_fit_page(held_out):
     runs, test = recordings()
     quality = {"train": 1.02} | ({"test": 1.31} if held_out else {})
