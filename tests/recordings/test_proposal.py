@@ -373,6 +373,36 @@ def test_speed_and_course_over_ground_are_a_velocity_where_there_is_a_heading(ru
     np.testing.assert_allclose(through_water, true, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    "speed, course, unit",
+    [
+        ("navigation.speedOverGround", "navigation.courseOverGroundTrue", "rad"),
+        ("speed_mps", "course_deg", "deg"), ("GPS_Spd", "GPS_GCrs", "deg"),
+    ],
+)  # fmt: skip
+def test_a_speed_and_its_course_are_told_by_many_names(speed, course, unit, runs, tmp_path):
+    native = runs["random-fast"]
+    table = over_ground(native).rename(columns={"x": "north", "y": "east"})
+    table["cog"] = np.radians(table["cog"]) if unit == "rad" else table["cog"]
+    table.rename(columns={"sog": speed, "cog": course}).to_csv(tmp_path / "a.csv", index=False)
+    written = tmp_path / "a.toml"
+    written.write_text(propose_mapping(tmp_path / "a.csv").text)
+    run = read_recording(tmp_path / "a.csv", read_mapping(written))
+    through_water = (run.u + 1j * run.v) * np.exp(1j * run.psi) - (0.4 + 0.5j)
+    true = (native["u"] + 1j * native["v"]) * np.exp(1j * native["psi"])
+    np.testing.assert_allclose(through_water, true, atol=1e-9)
+
+
+def test_one_side_alone_is_no_thruster(runs, tmp_path):
+    """A rudder's sensor on starboard, say, or the motor of a bow thruster."""
+    table = runs["random-fast"].drop(columns="cmd_port")
+    table.rename(columns={"t": "time", "cmd_starboard": "right"}).to_csv(
+        tmp_path / "a.csv", index=False
+    )
+    sure = propose_mapping(tmp_path / "a.csv").sure
+    assert not {name for name in sure if name.endswith(("port", "starboard"))}
+
+
 def test_velocities_that_are_there_are_better_than_those_over_ground(runs, tmp_path):
     native = runs["random-fast"]
     table = over_ground(native).assign(surge=native["u"], sway=native["v"])

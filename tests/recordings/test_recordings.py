@@ -370,6 +370,11 @@ def test_missing_files_and_folders_are_named(tmp_path, place):
             OVER_GROUND.replace("v = { column = 's',", "v = { column = 's', unit = 'kn',"),
             "the same column, unit and course",
         ),
+        (
+            OVER_GROUND.replace("course = 'c'", "course = 'c', course_unit = 'kn'"),
+            'course_unit is that of a course, "deg" or "rad"',
+        ),
+        ("[columns]\nt = 't'\nu = { column = 's', course_unit = 'deg' }\n", "that of a course"),
         (OVER_GROUND.replace("'earth'", "'body'"), 'velocity_axes = "earth"'),
         (OVER_GROUND.replace("[col", "frame = 'ENU'\n[col"), "a course is clockwise from north"),
         ("[columns]\nt = 't'\nu = { constant = 1 }\n", "u: only orders, actuation, wind"),

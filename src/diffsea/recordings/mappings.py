@@ -145,8 +145,8 @@ class Column:
 
     In SI that is `gain * number + shift`. A mapping file names the fields as they are named here.
     With a `cosine`, another column of a table, `column` is the sine of an angle in rad. With a
-    `course`, another column in deg clockwise from north, it is a speed over ground, and u and v
-    are its parts to north and east.
+    `course`, another column in deg (or `course_unit`) clockwise from north, it is a speed over
+    ground, and u and v are its parts to north and east.
     """
 
     column: str
@@ -157,6 +157,7 @@ class Column:
     delay: float = 0.0  # s, by how much the channel is stamped late
     cosine: str | None = None
     course: str | None = None
+    course_unit: str = "deg"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -170,7 +171,7 @@ class Column:
             return np.arctan2(*parts)
         if self.course is not None:
             along = np.cos if channel == "u" else np.sin
-            return parts[0] * along(np.radians(parts[1]))
+            return parts[0] * along(parts[1] * UNITS[self.course_unit][1])
         return parts[0]
 
     @property
@@ -419,7 +420,7 @@ def _check_channels(channels: dict[str, Column], settings: dict[str, Any], path:
     if settings.get("velocity_axes") == "earth" and not {"psi", "u", "v"} <= set(channels):
         raise UserError(f"{path}: velocities in earth axes need the channels psi, u and v")
     velocities = [channels.get(name) for name in "uv"]
-    ways = {one and (one.course and one.names, one.unit, one.scale) for one in velocities}
+    ways = {one and (one.course and one.names, one.course_unit, one.unit) for one in velocities}
     if any(one and one.course for one in velocities):
         if len(ways) > 1 or settings.get("velocity_axes") != "earth":
             raise UserError(
@@ -486,11 +487,13 @@ def _column(channel: str, entry: object, where: str) -> Column:
         raise UserError(
             f"{where}: cosine is the name of a column beside that of the sine of an angle, in rad"
         )
-    course = entry.get("course")
+    course, course_unit = entry.get("course"), entry.get("course_unit", "deg")
     if course is not None and not (isinstance(course, str) and channel in ("u", "v")):
         raise UserError(
             f"{where}: course is the name of a column in deg beside that of a speed, for u and v"
         )
+    if course_unit not in ("deg", "rad") or ("course_unit" in entry and course is None):
+        raise UserError(f'{where}: course_unit is that of a course, "deg" or "rad"')
     if unit is not None and (not isinstance(unit, str) or unit not in UNITS):
         raise UserError(
             f"{where}: unknown unit {unit!r}; known units are {', '.join(UNITS)}"
@@ -504,7 +507,14 @@ def _column(channel: str, entry: object, where: str) -> Column:
             f"{where}: {unit!r} would turn pulse widths into seconds; leave the unit out, and "
             'state unit = "us" in the vessel file'
         )
-    return Column(entry["column"], unit=unit, cosine=cosine, course=course, **numbers)
+    return Column(
+        entry["column"],
+        unit=unit,
+        cosine=cosine,
+        course=course,
+        course_unit=course_unit,
+        **numbers,
+    )
 
 
 def _number(value: object, where: str) -> float:

@@ -30,6 +30,7 @@ from diffsea.trajectory import Series, Trajectory
 
 ROLES = ("rudder", "propeller", "port", "starboard", "thrust")  # labels of names
 _LARGEST_RADIANS = 0.9  # of a rudder: beyond, the numbers are degrees
+SIDES = ("port", "starboard")
 # Probabilities that a column is an order, or was realised, for each reason to think so: what moves
 # gradually may also be an order from a lever that somebody moves, or from a controller.
 _JUMPS, _SAID, _GRADUAL, _CONSTANT = 0.98, 0.95, 0.75, 0.6
@@ -94,6 +95,8 @@ def find_actuators(
                 verdicts = [_push_of(run, role, run.commanded[column]) for run in tried]
             chance = suggestions[column].weights[role]
             found.append(_actuator(column, role, chance, suggestions[column], runs, verdicts))
+    if len({one.role for one in found} & set(SIDES)) == 1:  # of one side alone: something else's
+        found = [one for one in found if one.role not in SIDES]
     found = _with_sides(found, tried)
     if any(actuator.turns for actuator in found) or not unnamed:
         return found

@@ -64,6 +64,7 @@ _ODD_SCALE = 4.0  # log odds against a ratio that is that of no units
 _SUREST = 0.999  # nothing is surer than the model of sensors that it rests on
 _ON_CIRCLE = 0.05  # by which the squares of sine and cosine may add up to more or less than one
 _VELOCITY_OVER_GROUND = 0.8  # weight of a speed with its course: there may be a better one
+_CALLED_A_SPEED = (0.2, 0.7)  # weights of surge between which a name is that of some speed
 _SUREST_OVER_GROUND = 0.5  # of course and speed over ground, for want of anything better
 _OVER_GROUND = (
     "nothing better is there: course and speed over ground are not {channel} where the vessel "
@@ -120,7 +121,7 @@ class _Source:
     place: tuple[str, str] | None  # columns of latitude and longitude
     origin: tuple[float, float] | None  # the first fix of the longest file (deg)
     cosines: dict[str, str]  # of headings that are there as a sine and a cosine, by the sine
-    courses: dict[str, str]  # over ground, by the speeds that they are of
+    courses: "dict[str, _Course]"  # over ground, by the speeds that they are of
     windows: ColumnWindows
     prior: HypothesisPrior
 
@@ -186,7 +187,7 @@ def _read_source(paths: Sequence[Path]) -> _Source:
     for speed, course in courses.items():
         unit = suggestions[speed].unit
         suggestions[speed] = named_exactly("vn", _VELOCITY_OVER_GROUND, unit)
-        suggestions[course] = named_exactly("ve", _VELOCITY_OVER_GROUND, unit)
+        suggestions[course.column] = named_exactly("ve", _VELOCITY_OVER_GROUND, unit)
     clock = find_time_column(tables[0], suggestions) or NO_CLOCK
     place, origin = find_geographic(tables[0], suggestions), None
     if place is not None:
@@ -239,26 +240,51 @@ def _with_headings(table: dict[str, Samples], cosines: dict[str, str]) -> dict[s
     return others | {s: np.arctan2(table[s], table[c]) for s, c in there.items()}
 
 
+class _Course(NamedTuple):
+    """A column of courses, and the unit that they are in."""
+
+    column: str
+    unit: str
+
+
 def _courses_of_speeds(
     suggestions: dict[str, Suggestion], table: dict[str, Samples]
-) -> dict[str, str]:
-    """The course over ground by its speed: where a table has one of each, in deg, and a heading."""
+) -> dict[str, _Course]:
+    """The course over ground by its speed: where a table has one of each, and a heading.
+
+    What is only called a speed is of the same receiver, beside its course.
+    """
     speeds = [name for name in table if suggestions[name].is_speed_over_ground]
+    if not speeds:
+        plain = {name: suggestions[name].weights for name in table}
+        speeds = [
+            n
+            for n, weights in plain.items()
+            if _CALLED_A_SPEED[0] < weights["u"] < _CALLED_A_SPEED[1]
+        ]
     courses = [name for name in table if suggestions[name].is_course_over_ground]
     headed = any(suggestions[name].weights["psi"] > NAMED for name in table)
     if len(speeds) != 1 or len(courses) != 1 or not headed:
         return {}
-    low, high = np.nanmin(table[courses[0]]), np.nanmax(table[courses[0]])
-    in_degrees = low >= -180.5 and 2 * np.pi < high <= 360.5
-    return {speeds[0]: courses[0]} if in_degrees and np.nanmin(table[speeds[0]]) >= 0 else {}
+    is_size = np.nanmin(table[speeds[0]]) >= 0
+    unit = _course_unit(table[courses[0]])
+    return {speeds[0]: _Course(courses[0], unit)} if is_size and unit else {}
 
 
-def _with_velocities(table: dict[str, Samples], courses: dict[str, str]) -> dict[str, Samples]:
+def _course_unit(course: Samples) -> str:
+    """The unit that a course is in by its values; none where it is no course."""
+    low, high = np.nanmin(course), np.nanmax(course)
+    if low >= -np.pi - 0.01 and high <= 2 * np.pi + 0.01:
+        return "rad"
+    return "deg" if low >= -180.5 and high <= 360.5 else ""
+
+
+def _with_velocities(table: dict[str, Samples], courses: dict[str, _Course]) -> dict[str, Samples]:
     """The table with velocities north and east in place of speeds and courses over ground."""
     found = dict(table)
-    for speed, course in courses.items():
+    for speed, (course, unit) in courses.items():
         if speed in table and course in table:
-            angle = np.radians(table[course])
+            angle = table[course] * UNITS[unit][1]
             found |= {speed: table[speed] * np.cos(angle), course: table[speed] * np.sin(angle)}
     return found
 
@@ -489,9 +515,11 @@ def _motion_columns(
         found["psi"] = Column(h.psi, unit, h.turn, offset=offset, cosine=cosine)
     for axis, name in enumerate((h.u, h.v)):
         if name is not None:
-            speed = next((s for s, course in source.courses.items() if name in (s, course)), name)
-            course = source.courses.get(speed)
-            column = Column(speed, _unless_si(units.u), h.speeds[axis], course=course)
+            column = Column(name, _unless_si(units.u), h.speeds[axis])
+            for speed, (course, unit) in source.courses.items():
+                if name in (speed, course):
+                    beside = {"column": speed, "course": course, "course_unit": unit}
+                    column = dataclasses.replace(column, **beside)
             found["uv"[axis]] = column
     if h.r is not None:
         found["r"] = Column(h.r, _unless_si(units.r), h.spin)

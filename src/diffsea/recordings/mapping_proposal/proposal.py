@@ -14,7 +14,7 @@ from pathlib import Path
 
 from diffsea.errors import UserError
 from diffsea.recordings import logs
-from diffsea.recordings.mapping_proposal.actuators import ROLES
+from diffsea.recordings.mapping_proposal.actuators import ROLES, SIDES
 from diffsea.recordings.mapping_proposal.columns import NO_CLOCK
 from diffsea.recordings.mapping_proposal.evidence import (
     ChannelGuess,
@@ -36,7 +36,6 @@ _SUREST_WITHOUT_ANSWER = 0.9  # of an actuator to which no motion was seen to an
 _MENTIONED_MIRROR = 0.02  # probability of a mirrored record from which on it is mentioned
 _MENTIONED_LABEL = 0.2  # weight from which on an unused column is said to be one perhaps
 _UNITS_WITHOUT_MENTION = ("", "rad", "rev/s", "N", "rps", "Hz")  # of actuators, in SI
-_SIDES = ("port", "starboard")
 # What is said of the sign of an actuator, by which way it pushes.
 _SIDE_PUSHES = {
     1: "more on the port side turns the vessel to starboard, as it should",
@@ -194,8 +193,8 @@ def _actuator_guesses(evidence: ProposalEvidence) -> list[ChannelGuess]:
             sure = min(sure, _SUREST_WITHOUT_ANSWER)
         elif actuator.turns:
             sure = sure * (1 - evidence.mirror)
-        if actuator.push < 0 and name in _SIDES:
-            name = _SIDES[name == "port"]
+        if actuator.push < 0 and name in SIDES:
+            name = SIDES[name == "port"]
         elif actuator.push < 0:
             sign = -1.0
         unit = None if actuator.unit in _UNITS_WITHOUT_MENTION else actuator.unit
@@ -366,6 +365,7 @@ def _column_value(column: Column) -> str:
         parts.append(f"cosine = {_quoted(column.cosine)}")
     if column.course is not None:
         parts.append(f"course = {_quoted(column.course)}")
+        parts += ['course_unit = "rad"'] if column.course_unit == "rad" else []
     if column.unit is not None:
         parts.append(f'unit = "{column.unit}"')
     if column.sign != 1:
