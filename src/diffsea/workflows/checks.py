@@ -225,7 +225,10 @@ def _unmapped_orders(run: Trajectory) -> tuple[str, ...]:
     if known or not unused:
         return ()
     why = "no column is known as an order or as executed actuation"
-    how = "if one is, name it in the mapping as cmd_port, cmd_starboard, cmd_rudder"
+    how = (
+        "if one is, name it in the mapping as cmd_port and cmd_starboard, or cmd_rudder and "
+        "cmd_motor"
+    )
     return (f"{why}; columns not used: {', '.join(unused)}; {how}",)
 
 
