@@ -2,6 +2,8 @@
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -87,6 +89,14 @@ def test_a_table_has_the_angles_of_its_rotations(tmp_path, suffix):
 def test_four_columns_that_are_no_rotation_give_no_angles(tmp_path, length):
     path = tmp_path / "run.csv"
     exported(length).to_csv(path, index=False)
+    assert "pose.orientation.yaw" not in read_table(path, None).table
+
+
+def test_columns_of_one_name_are_no_parts(tmp_path):
+    path, run = tmp_path / "run.parquet", exported()
+    columns = {name: pa.array(run[name]) for name in run}
+    twice = [*columns.values(), columns["pose.orientation.w"]]
+    pq.write_table(pa.Table.from_arrays(twice, [*columns, "pose.orientation.w"]), path)
     assert "pose.orientation.yaw" not in read_table(path, None).table
 
 

@@ -55,7 +55,8 @@ def read_table(path: Path, mapping: Mapping | None) -> TableFile:
 def _with_angles(table: pd.DataFrame) -> pd.DataFrame:
     """A table with the angles (rad) of its rotations after its own columns."""
     parts: dict[str, Samples] = {}
-    for several in quaternions_in(table.columns).values():
+    quaternions = quaternions_in(table.columns) if table.columns.is_unique else {}
+    for several in quaternions.values():
         numbers = {name: to_numbers(pd.Series(table[name])) for name in several}
         with np.errstate(over="ignore"):
             square = np.sum(np.square([*numbers.values()]), axis=0)
