@@ -47,7 +47,7 @@ def measured_rows(run: Trajectory, channels: Sequence[str], most: int) -> Rows:
     counted = run.counted()
     found = {name: np.asarray(getattr(counted, name), float) for name in ("t", *channels)}
     has = np.flatnonzero(np.all([np.isfinite(series) for series in found.values()], axis=0))
-    chosen = has[:: max(1, math.ceil(len(has) / most))]
+    chosen = has[plots.evenly(len(has), most)]
     return {name: series[chosen] for name, series in found.items()}
 
 
@@ -133,7 +133,7 @@ def _order_panels(run: Trajectory, most: int, units: Mapping[str, str]) -> list[
                 if channel not in series:
                     continue
                 has = np.flatnonzero(np.isfinite(series[channel]))
-                chosen = has[:: max(1, math.ceil(len(has) / most))]
+                chosen = has[plots.evenly(len(has), most)]
                 line = {"color": colour, **looks[what]}
                 values = series[channel][chosen] * scale
                 lines.append((f"{what}, {channel}", counted.t[chosen], values, line))

@@ -101,10 +101,15 @@ def add_track_markers(
     return drawn.update_layout(meta={"group": group, "cursor": "track", "curves": list(curves)})
 
 
+def evenly(count: int, most: int) -> slice:
+    """At most `most` of so many rows, evenly: more points cannot be told apart on a page."""
+    return slice(None, None, max(1, math.ceil(count / most)))
+
+
 def thin_rows(run: Trajectory, channel: str, most: int) -> Float[np.ndarray, "row"]:
     """A channel's valid rows, thinned evenly to at most `most`."""
     values = getattr(run.counted(), channel)
-    return values[:: max(1, math.ceil(len(values) / most))]
+    return values[evenly(len(values), most)]
 
 
 def numbers(

@@ -198,7 +198,7 @@ def _tracks(runs: Sequence[TrialRun], group: str) -> go.Figure:
     layout["yaxis"] = plots.TRACK_LAYOUT["yaxis"] | {"title": {"text": "ahead (m)"}}
     drawn = plots.figure(**plots.TRACK_LAYOUT | layout)
     for one in runs:
-        log, rows = one.log, _thinned(one)
+        log, rows = one.log, plots.evenly(len(one.log["t"]), DRAWN_ROWS)
         t = log["t"]
         x, y, psi = (float(np.interp(0.0, t, log[name])) for name in ("x", "y", "psi_unwrapped"))
         north, east = log["x"][rows] - x, log["y"][rows] - y
@@ -225,7 +225,7 @@ def _histories(runs: Sequence[TrialRun], group: str) -> go.Figure:
     for k, (column, title, scale) in enumerate(panels):
         axis = {"xaxis": "x", "yaxis": f"y{k + 1}" if k else "y", "mode": "lines"}
         for one in runs:
-            rows = _thinned(one)
+            rows = plots.evenly(len(one.log["t"]), DRAWN_ROWS)
             x = plots.numbers(one.log["t"][rows], plots.TIME_DIGITS)
             if column == "delta_exec" and "delta_cmd" in one.log:
                 ordered: dict[str, Any] = {"color": _colour(one), "width": 0.8, "shape": "hv"}
@@ -246,7 +246,3 @@ def _histories(runs: Sequence[TrialRun], group: str) -> go.Figure:
 
 def _rows_of(log: Mapping[str, Samples], rows: slice) -> dict[str, Float[np.ndarray, "_"]]:
     return {name: np.asarray(series)[rows] for name, series in log.items()}
-
-
-def _thinned(one: TrialRun) -> slice:
-    return slice(None, None, max(1, math.ceil(len(one.log["t"]) / DRAWN_ROWS)))

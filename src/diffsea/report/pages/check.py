@@ -23,6 +23,7 @@ from diffsea.report.plots import (
     TRACK_LAYOUT,
     add_time_cursor,
     add_track_markers,
+    evenly,
     figure,
     numbers,
 )
@@ -281,19 +282,15 @@ def _channel_table(one: LogCheck) -> Table:
     return Table(["channel", "column", "unit", "samples per second"], rows, numeric=(3,))
 
 
-def _thinned(count: int, most: int) -> slice:
-    return slice(None, None, max(1, math.ceil(count / most)))
-
-
 def _run_plots(one: LogCheck) -> list[Plot]:
     """The track with its trials, and speed, yaw rate, rudder angles and orders over time."""
     run, group = one.run, f"run-{one.name}"
-    rows = _thinned(run.t.size, DRAWN_ROWS)
+    rows = evenly(run.t.size, DRAWN_ROWS)
     plots = []
     if run.has("x") and run.has("y"):
         known = np.isfinite(run.x) & np.isfinite(run.y)
         used = np.any([(run.t >= a) & (run.t <= b) for a, b in one.used], axis=0)
-        chosen = np.flatnonzero(known & used)[_thinned(int(np.sum(known & used)), DRAWN_ROWS)]
+        chosen = np.flatnonzero(known & used)[evenly(int(np.sum(known & used)), DRAWN_ROWS)]
         if chosen.size:
             plots.append(_track_plot(one, chosen, group))
     t, traces = numbers(run.t[rows], 6), []
@@ -447,7 +444,7 @@ def _answer_plot(
 ) -> Plot:
     """All samples, and the means where an order stood, with their intervals."""
     shown = lambda value: for_people(value, unit)[0]
-    rows = _thinned(order.size, DRAWN_SAMPLES)
+    rows = evenly(order.size, DRAWN_SAMPLES)
     cloud = go.Scatter(x=numbers(100 * order[rows], 3), mode="markers", name="all samples")
     cloud.update(y=numbers([shown(v) for v in values[rows]], 3), hoverinfo="skip")
     cloud.update(marker={"color": MEASURED, "size": 3, "opacity": 0.45})

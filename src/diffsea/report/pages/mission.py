@@ -64,7 +64,7 @@ def _estimator_part(run: MissionRun, numbers: Record) -> Record | None:
     if found is None or told is None:
         return None
     model, closed = run.mission.model, closed_spans(found)
-    kept = slice(None, None, max(1, -(-len(found.t) // DRAWN_ROWS)))
+    kept = plots.evenly(len(found.t), DRAWN_ROWS)
     rows = []
     for name, one in told["estimates"].items():
         true = "" if one["vessel"] is None else round_to_error(one["vessel"], one["std"])
@@ -287,7 +287,7 @@ def _panels(run: MissionRun, panels: Sequence[Panel], group: str) -> go.Figure:
     """Panels one above the other over time, under the cursor of a group."""
     margin = {"t": 24, "b": 36, "l": 48, "r": 8}
     drawn = plots.figure(hovermode="x", margin=margin, showlegend=False)
-    rows = slice(None, None, max(1, math.ceil(len(run.true.t) / DRAWN_ROWS)))
+    rows = plots.evenly(len(run.true.t), DRAWN_ROWS)
     x = plots.numbers(run.true.t[rows], plots.TIME_DIGITS)
     for k, (title, curves) in enumerate(panels):
         axis = f"y{k + 1}" if k else "y"

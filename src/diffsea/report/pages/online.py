@@ -47,7 +47,7 @@ def online_report(
     passed = any(np.any(run.handed[name] != run.handed[name][0]) for name in run.handed)
     longest = sorted(closed, key=lambda span: span.start - span.end)[:SHOWN_SPANS]
     shown = sorted(longest, key=lambda span: span.start)
-    kept = slice(None, None, max(1, -(-len(run.t) // DRAWN_ROWS)))
+    kept = plots.evenly(len(run.t), DRAWN_ROWS)
     return render(
         "online.html.j2",
         title=f"Online estimates of {vessel.name}",

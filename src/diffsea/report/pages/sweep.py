@@ -100,7 +100,7 @@ def _found_table(wanted: Mapping[str, float], found: Sequence[Record]) -> Table:
 
 
 def _front_table(front: pd.DataFrame, names: Sequence[str], goals: Sequence[str]) -> Table:
-    shown = front.iloc[:: max(1, -(-len(front) // SHOWN_OF_FRONT))]
+    shown = front.iloc[plots.evenly(len(front), SHOWN_OF_FRONT)]
     rows = [
         [significant(row[name], 4) for name in names] + [_told(row[goal], goal) for goal in goals]
         for row in shown.to_dict("records")
@@ -126,7 +126,7 @@ def _front_plot(table: pd.DataFrame, front: pd.DataFrame, goals: Sequence[str]) 
     cloud = table.dropna(subset=list(goals[:2]))
     drawn = plots.figure(showlegend=True)
     for part, name, colour, opacity in (
-        (cloud.iloc[:: max(1, -(-len(cloud) // DRAWN_DESIGNS))], "design", plots.DIAGNOSED, 0.35),
+        (cloud.iloc[plots.evenly(len(cloud), DRAWN_DESIGNS)], "design", plots.DIAGNOSED, 0.35),
         (front, "no other beats it", plots.NOMINAL, 1.0),
     ):
         x, y = (plots.numbers(_scaled(part[goal], goal)) for goal in goals[:2])
@@ -215,7 +215,7 @@ def _map(table: pd.DataFrame, units: Mapping[str, str], number: str) -> go.Figur
 
 def _cloud(table: pd.DataFrame, parameter: str, number: str) -> go.Figure:
     """A point for each design; those that fail the criterion in another colour."""
-    known = table[table[number].notna()].iloc[:: max(1, -(-len(table) // DRAWN_DESIGNS))]
+    known = table[table[number].notna()].iloc[plots.evenly(len(table), DRAWN_DESIGNS)]
     failing = _failing(known, number)
     drawn = plots.figure(showlegend=bool(len(failing)))
     for part, name, colour in (
