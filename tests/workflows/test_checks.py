@@ -12,9 +12,11 @@ from tests.recordings import driven_boat
 from tests.recordings.driven_boat import FULL, NEUTRAL, drive, noisy
 
 from diffsea.checks import check_run, check_together
-from diffsea.checks.answers import Answers, IntervalEstimate, LagOfAnswer, answers_of
+from diffsea.checks.answers import Answers, answers_of
+from diffsea.checks.lags import FirstOrderLag
 from diffsea.checks.open_questions import next_length, open_questions
 from diffsea.checks.shares import in_shares, order_scales
+from diffsea.checks.spans import IntervalEstimate
 from diffsea.cli import main
 from diffsea.recordings import Finding, audit, write_recording
 from diffsea.recordings.auditing.edits import Affine, Blank, Edit, Step
@@ -336,9 +338,9 @@ def test_the_audit_says_whether_orders_turn_the_boat_the_other_way(kind, channel
 def test_headlines_say_only_what_is_told_from_nothing():
     estimate = lambda value, low, high: IntervalEstimate(value, low, high, "s")
     constant = estimate(1.0, 0.9, 1.1)
-    told = headlines(Answers(lag_of_turning=LagOfAnswer(estimate(0, 0, 2), constant, 0.9)), True)
+    told = headlines(Answers(lag_of_turning=FirstOrderLag(estimate(0, 0, 2), constant, 0.9)), True)
     assert told == []
-    seen = LagOfAnswer(estimate(0.4, 0.3, 0.5), constant, 0.9)
+    seen = FirstOrderLag(estimate(0.4, 0.3, 0.5), constant, 0.9)
     told = headlines(Answers(lag_of_turning=seen, asymmetry=estimate(0.01, -0.2, 0.2)), True)
     assert told == ["It begins to turn 0.40 s after the order (0.30 to 0.50 s)."]
     # A controller turns against the motion: which way orders act, the audit says.

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diffsea.checks.answers import STAYED, Answers
+from diffsea.checks.answers import Answers
+from diffsea.checks.spans import STAYED
 from diffsea.segments import Segment
 from diffsea.trajectory import Trajectory
 

@@ -11,9 +11,11 @@ import plotly.graph_objects as go
 
 from diffsea.channels import steers
 from diffsea.checks import Answers, LogCheck, PooledCheck
-from diffsea.checks.answers import LEVEL, IntervalEstimate, LagOfAnswer, SteadyPoint
+from diffsea.checks.answers import SteadyPoint
+from diffsea.checks.lags import FirstOrderLag
 from diffsea.checks.open_questions import OpenQuestion
 from diffsea.checks.shares import OrderScale
+from diffsea.checks.spans import LEVEL, IntervalEstimate
 from diffsea.recordings import Finding
 from diffsea.report.page import Plot, Table, Verbatim, provenance, render
 from diffsea.report.plots import (
@@ -396,7 +398,7 @@ def _lag_table(answers: Answers) -> Table:
     return Table(columns, rows, numeric=(2, 3, 4))
 
 
-def _lag_rows(what: str, lag: LagOfAnswer) -> list[list[str]]:
+def _lag_rows(what: str, lag: FirstOrderLag) -> list[list[str]]:
     share = f"{100 * lag.explained:.0f} %"
     return [
         ["dead time", what, *_cells(lag.delay), share],
