@@ -143,13 +143,16 @@ def without_clock_drift(run: Run, settings: Settings) -> Run:
 
 
 def _read_at(t: Series, values: Series, when: Series) -> Series:
-    """Samples at other times; unknown beyond the ends and where a sample beside is unknown."""
+    """Samples at other times; unknown beyond the ends and where the nearest row has none.
+
+    A slower sensor has one in every other row or fewer.
+    """
     known = np.isfinite(values)
     if known.sum() < 4:
         return values
     read = CubicSpline(t[known], values[known])(when)
     near = np.interp(when, t, (~known).astype(float), left=1.0, right=1.0)
-    return np.where(near > 1e-9, np.nan, read)
+    return np.where(near > 0.5, np.nan, read)
 
 
 # What sensors do that has no name among the effects, and must not be given one

@@ -1,5 +1,7 @@
 """Pulse widths (us), by which servos and speed controllers are ordered."""
 
+import math
+
 import numpy as np
 from jaxtyping import Float
 
@@ -8,6 +10,7 @@ Pulses = Float[np.ndarray, "_"]
 
 SHORTEST, LONGEST = 700.0, 2300.0  # trimmed at will
 NEUTRAL, SPAN = 1500.0, 400.0  # what is usual, and how far full order is from it
+SERVO_ANGLE = math.radians(35)  # of a rudder, usually, at full order
 _NEAR_NEUTRAL = 60.0  # of a pulse that stands for a twentieth of the time: the neutral one
 _COMMON = 0.05
 

@@ -8,8 +8,6 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 
 if TYPE_CHECKING:
     from diffsea.checks import LogCheck
@@ -103,8 +101,9 @@ def _drive(one: "LogCheck") -> str:
 
 def _largest_order(one: "LogCheck", channel: str) -> str:
     """The largest size of an order, rounded up to three digits; empty where there is none."""
-    orders = (one.run.commanded or one.run.executed).get(channel, np.empty(0))
-    largest = float(np.nanmax(np.abs(orders), initial=0.0))
+    orders = (one.run.commanded or one.run.executed).get(channel)
+    sizes = [] if orders is None else [abs(order) for order in orders.tolist()]
+    largest = max((size for size in sizes if math.isfinite(size)), default=0.0)
     if largest == 0.0:
         return ""
     last = 10.0 ** (math.floor(math.log10(largest)) - 2)

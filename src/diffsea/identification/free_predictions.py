@@ -275,9 +275,10 @@ def expected_squares(
 ) -> Float[np.ndarray, "2"]:
     """Mean squares of position (m^2) and heading (rad^2) missed by `horizon` s of free prediction.
 
-    The covariance that gusts add along the linearised motion from a filtered state, seen by the
+    The covariance that gusts add along the linearised motion from where it starts, seen by the
     sensors once more at the end; mean over starts along the data once the filter has settled, NaN
-    where there is none.
+    where there is none. It starts in a state measured by its sensors, or filtered where velocities
+    were not recorded: a filter of exact parameters knows it better, and theirs are not counted.
     """
     run = problem.run_filter(coordinates, noise)
     F, data = np.asarray(run.F), problem.dataset
@@ -289,9 +290,14 @@ def expected_squares(
     A[:, 3:6, 6:] += half
     A[:, 6:, 6:] = np.einsum("ri,ij->rij", gusts.decay, np.eye(3))
     starts, ends = _spans_of_rows(problem, horizon)
-    covariance, counts = np.asarray(run.covariance), np.ones(len(F), bool)
+    sensor, slow = np.exp(2 * np.asarray(noise.sensor)), np.exp(2 * np.asarray(noise.slow))
+    measured = np.diag(np.concatenate([sensor, slow]))
+    covariance, counts = np.asarray(run.covariance).copy(), np.ones(len(F), bool)
     for rows in filter(len, data.rows_of_runs):
-        counts[rows] = is_settled(covariance[rows])
+        if np.asarray(data.known)[rows, 3:5].any(0).all():
+            covariance[rows] = measured
+        else:
+            counts[rows] = is_settled(covariance[rows])
     starts, ends = starts[counts[starts]], ends[counts[starts]]
     if not len(starts):
         return np.full(2, np.nan)
@@ -300,7 +306,6 @@ def expected_squares(
         going = starts + step < ends
         rows = (starts + step)[going]
         P[going] = A[rows] @ P[going] @ A[rows].mT + Q[rows]
-    sensor = np.exp(2 * np.asarray(noise.sensor))
     variance = np.diagonal(P, axis1=1, axis2=2) + np.append(sensor, np.zeros(3))
     return np.array([variance[:, :2].sum(1).mean(), variance[:, 2].mean()])
 

@@ -24,7 +24,6 @@ from diffsea.recordings.auditing.responses import (
 from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion
 from diffsea.recordings.mappings import UNITS
 from diffsea.recordings.motion import MeasuredMotion, motion_of
-from diffsea.scales import HARD_OVER
 from diffsea.trajectory import Series, Trajectory
 
 
@@ -217,10 +216,10 @@ def _actuator(
 def _rudder_by_pulses(
     column: str, values: Float[np.ndarray, "_"], sure: float, push: int
 ) -> ActuatorColumn:
-    """A rudder's servo by its pulse widths, as rad if it is hard over at their usual ends."""
-    neutral, slope = pulses.neutral_pulse(values), HARD_OVER / pulses.SPAN
+    """A rudder's servo by its pulse widths, as rad if its linkage is as usual."""
+    neutral, slope = pulses.neutral_pulse(values), pulses.SERVO_ANGLE / pulses.SPAN
     reason = (
-        f"pulse widths of a servo, taken for {np.degrees(HARD_OVER):.0f} deg at "
+        f"pulse widths of a servo, taken for {np.degrees(pulses.SERVO_ANGLE):.0f} deg at "
         f"{pulses.SPAN:.0f} us from {neutral:.0f} us: a guess, look at the rudder"
     )
     return ActuatorColumn(
