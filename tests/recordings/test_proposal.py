@@ -587,6 +587,14 @@ def test_pulses_of_a_servo_are_angles_and_those_of_a_motor_orders(tmp_path, neut
     np.testing.assert_allclose(run.u, native["u"], atol=0.05)  # its course is that of chords
 
 
+def test_a_servo_without_a_pulse_is_no_angle(tmp_path):
+    hobby_log(tmp_path)
+    table = pd.read_csv(tmp_path / "log.csv")
+    table.loc[:5, "servo_us"] = 0.0  # before it is armed
+    table.to_csv(tmp_path / "log.csv", index=False)
+    assert "cmd_rudder" not in propose_mapping(tmp_path / "log.csv").sure
+
+
 @pytest.mark.parametrize("names, kind", [
     (("left", "right"), "cmd"), (("thrust_port", "thrust_stbd"), "cmd"),
     (("left_rpm", "right_rpm"), "exec"),

@@ -88,6 +88,8 @@ def find_actuators(
     found, tried = [], runs[:_MOST_TRIED]
     for role in ROLES:
         columns = [c for c in runs[0].commanded if suggestions[c].weights[role] > NAMED]
+        if role == "rudder":  # a pulse of no length is no angle, and no mapping can say so
+            columns = [c for c in columns if not any(_has_lost_pulses(run, c) for run in runs)]
         for column in _order_and_answer(role, columns, suggestions, runs):
             verdicts = []
             if role in ("rudder", "propeller"):
@@ -255,6 +257,11 @@ def _is_order(
 def _finite(run: Trajectory, column: str) -> Float[np.ndarray, "_"]:
     values = np.asarray(run.commanded[column], float)
     return values[np.isfinite(values)]
+
+
+def _has_lost_pulses(run: Trajectory, column: str) -> bool:
+    values = _finite(run, column)
+    return pulses.are_pulses(values) and bool(np.any(values == 0))
 
 
 def _is_thrust(suggestion: Suggestion) -> bool:

@@ -28,6 +28,13 @@ from diffsea.recordings.mapping_proposal.columns import (
     varies,
     windows_of,
 )
+from diffsea.recordings.mapping_proposal.combined import (
+    Course,
+    are_on_a_circle,
+    courses_of_speeds,
+    with_headings,
+    with_velocities,
+)
 from diffsea.recordings.mapping_proposal.hypotheses import (
     STATED_UNIT,
     ColumnHypothesis,
@@ -62,9 +69,7 @@ _TELLING = 0.5  # weight of "other" above which a name says that it is something
 _RUDDER_LABEL, _THRUSTER_LABELS = math.log(0.75 / 0.25), math.log(0.95 / 0.05)
 _ODD_SCALE = 4.0  # log odds against a ratio that is that of no units
 _SUREST = 0.999  # nothing is surer than the model of sensors that it rests on
-_ON_CIRCLE = 0.05  # by which the squares of sine and cosine may add up to more or less than one
 _VELOCITY_OVER_GROUND = 0.8  # weight of a speed with its course: there may be a better one
-_CALLED_A_SPEED = (0.2, 0.7)  # weights of surge between which a name is that of some speed
 _SUREST_OVER_GROUND = 0.5  # of course and speed over ground, for want of anything better
 _OVER_GROUND = (
     "nothing better is there: course and speed over ground are not {channel} where the vessel "
@@ -121,7 +126,7 @@ class _Source:
     place: tuple[str, str] | None  # columns of latitude and longitude
     origin: tuple[float, float] | None  # the first fix of the longest file (deg)
     cosines: dict[str, str]  # of headings that are there as a sine and a cosine, by the sine
-    courses: "dict[str, _Course]"  # over ground, by the speeds that they are of
+    courses: dict[str, Course]  # over ground, by the speeds that they are of
     windows: ColumnWindows
     prior: HypothesisPrior
 
@@ -178,12 +183,12 @@ def _read_source(paths: Sequence[Path]) -> _Source:
     cosines = {
         sine: cosine
         for sine, cosine in headings_as_sines(layout.names).items()
-        if _are_on_a_circle(tables[0].get(sine), tables[0].get(cosine))
+        if are_on_a_circle(tables[0].get(sine), tables[0].get(cosine))
     }
     suggestions |= {name: told for name in cosines if (told := suggest_sine(name)) is not None}
-    tables = [_with_headings(table, cosines) for table in tables]
-    courses = _courses_of_speeds(suggestions, tables[0])
-    tables = [_with_velocities(table, courses) for table in tables]
+    tables = [with_headings(table, cosines) for table in tables]
+    courses = courses_of_speeds(suggestions, tables[0])
+    tables = [with_velocities(table, courses) for table in tables]
     for speed, course in courses.items():
         unit = suggestions[speed].unit
         suggestions[speed] = named_exactly("vn", _VELOCITY_OVER_GROUND, unit)
@@ -223,70 +228,6 @@ def _read_source(paths: Sequence[Path]) -> _Source:
         *(tuple(kept), layout, tables[0], fixed, clock, place, origin, cosines, courses),
         *(windows, prior),
     )
-
-
-def _are_on_a_circle(sine: Samples | None, cosine: Samples | None) -> bool:
-    """Whether the squares of two columns add up to one."""
-    if sine is None or cosine is None:
-        return False
-    off = np.abs(sine**2 + cosine**2 - 1)
-    return bool(np.isfinite(off).any() and np.nanmedian(off) < _ON_CIRCLE)
-
-
-def _with_headings(table: dict[str, Samples], cosines: dict[str, str]) -> dict[str, Samples]:
-    """The table with headings (rad) in place of their sines, and without their cosines."""
-    there = {s: c for s, c in cosines.items() if s in table and c in table}
-    others = {name: series for name, series in table.items() if name not in there.values()}
-    return others | {s: np.arctan2(table[s], table[c]) for s, c in there.items()}
-
-
-class _Course(NamedTuple):
-    """A column of courses, and the unit that they are in."""
-
-    column: str
-    unit: str
-
-
-def _courses_of_speeds(
-    suggestions: dict[str, Suggestion], table: dict[str, Samples]
-) -> dict[str, _Course]:
-    """The course over ground by its speed: where a table has one of each, and a heading.
-
-    What is only called a speed is of the same receiver, beside its course.
-    """
-    speeds = [name for name in table if suggestions[name].is_speed_over_ground]
-    if not speeds:
-        plain = {name: suggestions[name].weights for name in table}
-        speeds = [
-            n
-            for n, weights in plain.items()
-            if _CALLED_A_SPEED[0] < weights["u"] < _CALLED_A_SPEED[1]
-        ]
-    courses = [name for name in table if suggestions[name].is_course_over_ground]
-    headed = any(suggestions[name].weights["psi"] > NAMED for name in table)
-    if len(speeds) != 1 or len(courses) != 1 or not headed:
-        return {}
-    is_size = np.nanmin(table[speeds[0]]) >= 0
-    unit = _course_unit(table[courses[0]])
-    return {speeds[0]: _Course(courses[0], unit)} if is_size and unit else {}
-
-
-def _course_unit(course: Samples) -> str:
-    """The unit that a course is in by its values; none where it is no course."""
-    low, high = np.nanmin(course), np.nanmax(course)
-    if low >= -np.pi - 0.01 and high <= 2 * np.pi + 0.01:
-        return "rad"
-    return "deg" if low >= -180.5 and high <= 360.5 else ""
-
-
-def _with_velocities(table: dict[str, Samples], courses: dict[str, _Course]) -> dict[str, Samples]:
-    """The table with velocities north and east in place of speeds and courses over ground."""
-    found = dict(table)
-    for speed, (course, unit) in courses.items():
-        if speed in table and course in table:
-            angle = table[course] * UNITS[unit][1]
-            found |= {speed: table[speed] * np.cos(angle), course: table[speed] * np.sin(angle)}
-    return found
 
 
 def _longest_tables(

@@ -6,6 +6,7 @@ from typing import Any, get_args
 import equinox as eqx
 import jax.numpy as jnp
 
+from diffsea import pulses
 from diffsea.errors import UserError, nearest
 from diffsea.types import Scalar
 from diffsea.vessel.base import OrderUnit
@@ -17,7 +18,8 @@ from diffsea.vessel.tables import Table, check_keys, needed, numbers, positive
 SCALES: dict[OrderUnit, tuple[float, float, float]] = {
     "percent": (0.0, 100.0, -100.0),
     "normalised": (0.0, 1.0, -1.0),
-    "us": (1500.0, 1900.0, 1100.0),  # pulse width of electronic speed controllers
+    # Of electronic speed controllers.
+    "us": (pulses.NEUTRAL, pulses.NEUTRAL + pulses.SPAN, pulses.NEUTRAL - pulses.SPAN),
 }
 UNITS: tuple[OrderUnit, ...] = get_args(OrderUnit)
 PER_REVOLUTION: dict[OrderUnit, float] = {"rev/s": 1.0, "rpm": 60.0}  # of the unit, for 1 rev/s
