@@ -324,7 +324,7 @@ def predict_command(args: argparse.Namespace) -> None:
     from diffsea.report.pictures import save_prediction
     from diffsea.report.predictions import Prediction
     from diffsea.report.wording.horizons import persistence_sentence
-    from diffsea.simulation.actuation import how_actuated
+    from diffsea.simulation.actuation import how_actuated, recorded_shares
     from diffsea.simulation.order_units import require_order_units
     from diffsea.simulation.persistence import persistence_errors
     from diffsea.simulation.replay import horizon_errors, replay, replay_errors
@@ -357,7 +357,8 @@ def predict_command(args: argparse.Namespace) -> None:
             )
         tell("predicting from starts along the run")
         ahead = horizon_errors(vessel, recording, measured_actuation=not args.orders)
-        kept_up = persistence_errors(recording, vessel.sensors)
+        shares = recorded_shares(vessel, recording)
+        kept_up = persistence_errors(recording, vessel.sensors, shares=shares)
         warning = persistence_sentence(ahead, kept_up)
         result: dict[str, Any] = {
             "vessel": vessel.name,

@@ -14,6 +14,7 @@ from diffsea.identification.coordinates import CoordinateLayout, vessel_at
 from diffsea.identification.data.batching import batched_scan
 from diffsea.identification.data.dataset import Dataset
 from diffsea.identification.estimates import Estimate
+from diffsea.identification.filter.corrections import as_shown, corrected
 from diffsea.identification.filter.covariance import Noise, gust_propagation
 from diffsea.identification.filter.kalman import (
     filter_rows,
@@ -22,11 +23,7 @@ from diffsea.identification.filter.kalman import (
     restart,
     with_impulse,
 )
-from diffsea.identification.filter.latency import (
-    SamplePlacement,
-    shown_samples,
-    without_time_errors,
-)
+from diffsea.identification.filter.latency import SamplePlacement, shown_samples
 from diffsea.identification.problem import Problem
 from diffsea.vessel.base import Vessel
 
@@ -62,7 +59,8 @@ def resimulate(problem: Problem, fitted: Estimate, rng: np.random.Generator) -> 
     for k in range(6):
         at = source[:, k] >= 0
         measured[source[at, k], k] = shown[at, k]
-    measured = jnp.asarray(measured)
+    vessel, _ = vessel_at(problem.base, problem.layout, jnp.asarray(fitted.coordinates))
+    measured = as_shown(vessel, dataset, jnp.asarray(measured))
     return dataclasses.replace(
         problem, dataset=eqx.tree_at(lambda d: d.measured, dataset, measured)
     )
@@ -98,7 +96,7 @@ def _shown_in_gusts(
 ) -> Float[Array, "row 6"]:
     """What sensors without noise show; each run begins with lasting gusts `begin`."""
     vessel, flows = vessel_at(base, layout, coordinates)
-    vessel, dataset = without_time_errors(vessel, dataset)
+    vessel, dataset = corrected(vessel, dataset)
     gusts, _ = gust_propagation(noise, dataset.dt)
 
     def body(carry: tuple[Float[Array, "9"], Float[Array, "3"]], inputs: tuple) -> tuple:

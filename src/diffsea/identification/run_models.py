@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 
 from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.estimates import Estimate
+from diffsea.identification.filter.corrections import corrected
 from diffsea.identification.filter.covariance import Noise
-from diffsea.identification.filter.latency import without_time_errors
 from diffsea.identification.holdout import Split, held_out_coordinates
 from diffsea.identification.problem import Coordinates, Problem
 from diffsea.trajectory import MOTION_CHANNELS, Samples, Trajectory
@@ -67,7 +67,7 @@ def filtered_states(
     filtered = problem.run_filter(coordinates, noise)
     states, covariance = np.asarray(filtered.state), np.asarray(filtered.covariance)
     vessel, _ = _vessel_at(problem.base, problem.layout, coordinates)
-    times = np.asarray(without_time_errors(vessel, problem.dataset)[1].run_time)
+    times = np.asarray(corrected(vessel, problem.dataset)[1].run_time)
     found: list[Motion] = []
     for run, rows in zip(runs, problem.dataset.rows_of_runs, strict=False):
         own = np.where(is_settled(covariance[rows])[:, None], states[rows], np.nan)

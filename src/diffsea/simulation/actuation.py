@@ -1,7 +1,7 @@
 """What acts along a recording: orders, executed actuation and heel, measured or reconstructed."""
 
 import dataclasses
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ from diffsea.series import hold_last, interpolate_missing
 from diffsea.trajectory import MOTION_CHANNELS, Samples, Trajectory
 from diffsea.types import Scalar, State, as_inputs
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects.actuators import largest_order
 from diffsea.vessel.forces import Force
 from diffsea.vessel.servo import OrderHistory, Response, Servo
 
@@ -188,6 +189,43 @@ def true_actuation(
     later = values_between_rows(t + error.delay, t, recorded)
     on_time = values_between_rows(t, t, recorded)
     return (recorded + (later - on_time) - error.offset) / (1 + error.scale)
+
+
+def thrust_shares(
+    vessel: Vessel, executed: Mapping[str, Float[Array, "*row"]]
+) -> dict[str, Float[Array, "*row"]]:
+    """What share of its full thrust, ahead or astern, each propulsion channel makes at rest.
+
+    From executed values in the channels' units; of a channel that states no limit, of what a
+    vessel of its size needs.
+    """
+    shares = {}
+    for channel, thrust_of in vessel.thrusts_at_rest.items():
+        servo, usual = vessel.servos[channel], largest_order(vessel, [channel])
+        neutral = 0.0 if servo.neutral is None else servo.neutral
+        ahead = jnp.abs(thrust_of(neutral + usual if servo.upper is None else servo.upper))
+        astern = jnp.abs(thrust_of(neutral - usual if servo.lower is None else servo.lower))
+        thrust = thrust_of(executed[channel])
+        full = jnp.where((thrust > 0) & (ahead > 0) | (astern == 0), ahead, astern)
+        shares[channel] = jnp.abs(thrust) / full
+    return shares
+
+
+def recorded_shares(vessel: Vessel, recording: Trajectory) -> dict[str, Samples]:
+    """`thrust_shares` in the rows of a recording that count, if a sensor depends on them.
+
+    Of measured actuation where there is any, else of what orders settle to.
+    """
+    if not vessel.sensors.estimated_headings:
+        return {}
+    orders, executed = recorded_actuation(vessel, recording)
+    done = {
+        c: jnp.asarray(executed[c])
+        if c in executed
+        else jax.vmap(vessel.servos[c].target)(jnp.asarray(order))
+        for c, order in orders.items()
+    }
+    return {c: np.asarray(share) for c, share in thrust_shares(vessel, done).items()}
 
 
 def recorded_heel(recording: Trajectory) -> Samples:

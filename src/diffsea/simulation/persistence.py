@@ -7,7 +7,7 @@ from jaxtyping import Bool, Int
 
 from diffsea.kinematics import to_earth
 from diffsea.simulation.replay import HORIZONS, horizons_within, rms_errors, spans_ahead
-from diffsea.simulation.sensed_motion import has_sample_near, true_motion
+from diffsea.simulation.sensed_motion import NO_SHARES, Shares, has_sample_near, true_motion
 from diffsea.trajectory import MOTION_CHANNELS, Samples, Trajectory
 from diffsea.vessel.sensors import Sensors
 
@@ -17,17 +17,19 @@ def persistence_errors(
     sensors: Sensors,
     horizons: Sequence[float] = HORIZONS,
     spacing: float = 10.0,
+    shares: Shares = NO_SHARES,
 ) -> dict[float, dict[str, float]]:
     """Errors of going on with the speeds of each start, whatever is ordered.
 
     Along an arc, with the yaw rate of the start, or straight on: of each quantity the smaller
     error. At the same starts and horizons, and by the same names, as `horizon_errors`.
+    `shares` are those of `recorded_shares`, where the sensors depend on them.
     """
     run = recording.counted()
     t = run.t
     if t[0] + min(horizons) > t[-1]:
         return {}
-    motion, _ = true_motion(sensors, run)
+    motion, _ = true_motion(sensors, run, shares)
     known = {c: has_sample_near(sensors, run, c) for c in MOTION_CHANNELS}
     begin, end = spans_ahead(t, horizons, spacing)
     errors = {}

@@ -21,6 +21,7 @@ from diffsea.simulation.actuation import (
     over_rows,
     recorded_actuation,
     recorded_heel,
+    recorded_shares,
     servo_path,
     true_actuation,
 )
@@ -73,6 +74,7 @@ class _ReplayInputs(NamedTuple):
     rows: Int[np.ndarray, "time"]  # the first step of each row
     response: dict[str, Response]  # of every channel in every step
     now: dict[str, Float[Array, "step"]]  # what it executes from the start of the step on
+    shares: dict[str, Samples]  # of its full thrust that each channel makes
     motion: dict[str, Samples]  # as the sensors' errors leave it
     notes: tuple[str, ...]
 
@@ -105,7 +107,7 @@ def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = Tru
     plausible = finite and np.all(plausible_motion(length, true["u"], true["v"], true["r"]))
     now = {c: np.asarray(now)[inputs.rows] for c, now in inputs.now.items()}
     t = inputs.run.t
-    shown = shown_motion(vessel.sensors, t, true)
+    shown = shown_motion(vessel.sensors, t, true, inputs.shares)
     return Trajectory(
         t,
         *[shown[c] for c in MOTION_CHANNELS],
@@ -249,9 +251,10 @@ def _replay_inputs(
         for channel, values in over_rows(run, orders, executed).items()
     }
     steps, rows = _integration_steps(vessel, run, orders, acting)
-    motion, derived = true_motion(vessel.sensors, run)
+    shares = recorded_shares(vessel, run)
+    motion, derived = true_motion(vessel.sensors, run, shares)
     made_of = run, orders, executed, steps, rows, *_actuate(vessel, steps)
-    return _ReplayInputs(*made_of, motion, (*notes, *derived))
+    return _ReplayInputs(*made_of, shares, motion, (*notes, *derived))
 
 
 def _integration_steps(

@@ -1,47 +1,67 @@
 """Between true motion and what sensors show of it: late, with errors, where they are mounted."""
 
 import dataclasses
+from collections.abc import Mapping
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
 from diffsea.errors import UserError
-from diffsea.kinematics import to_earth
+from diffsea.kinematics import to_body, to_earth
 from diffsea.metrics.preparation import prepare_recording
 from diffsea.series import median_interval
 from diffsea.trajectory import MOTION_CHANNELS, Samples, Trajectory
 from diffsea.vessel.sensors import Clock, Sensors
 
 
+Shares = Mapping[str, Samples]  # of its full thrust that each propulsion channel makes
+NO_SHARES: Shares = {}
+
 _COMPASS_ITERATIONS = 20  # a compass error of half a radian has converged by then
 _EXTRAPOLATION_INTERVALS = 4  # least intervals whose slope goes on beyond the samples
 _NEAREST_SAMPLE = 0.75  # of the median interval: a sample nearer than that supports a value
 
 
-def shown_motion(sensors: Sensors, t: Samples, true: dict[str, Samples]) -> dict[str, Samples]:
-    """What sensors without noise show at the times of a motion, by channel."""
+def shown_motion(
+    sensors: Sensors, t: Samples, true: dict[str, Samples], shares: Shares
+) -> dict[str, Samples]:
+    """What sensors without noise show at the times of a motion, by channel.
+
+    `shares` are those of their full thrust that the propulsion channels make.
+    """
     lags = sensors.lags(t)
     late = {c: _extrapolate(t - np.asarray(lags[c]), t, true[c]) for c in MOTION_CHANNELS}
     north, east = to_earth(sensors.lever_x, sensors.lever_y, late["psi"])
     steps = _sensor_steps(sensors, t)
+    psi, turned = late["psi"] + _compass_error(sensors, late["psi"]), np.zeros_like(t)
+    for _ in range(_COMPASS_ITERATIONS):  # an estimator's deviation depends on what it shows
+        turned = _deviation(sensors, t, psi + turned, shares)
+    u, v = to_body(late["u"], late["v"], turned)
     return {
         "x": late["x"] + np.asarray(north),
         "y": late["y"] + np.asarray(east),
-        "psi": late["psi"] + _compass_error(sensors, late["psi"]) + steps["psi"],
-        "u": late["u"],
-        "v": late["v"],
+        "psi": psi + turned + steps["psi"],
+        "u": np.asarray(u),
+        "v": np.asarray(v),
         "r": late["r"] + float(sensors.gyro_bias) + steps["r"],
     }
 
 
-def true_motion(sensors: Sensors, run: Trajectory) -> tuple[dict[str, Samples], tuple[str, ...]]:
+def true_motion(
+    sensors: Sensors, run: Trajectory, shares: Shares
+) -> tuple[dict[str, Samples], tuple[str, ...]]:
     """Motion in every row as the sensors' errors leave it, and notes on what was derived.
 
     What was not measured is derived from the rest without its errors. A run in which nothing shows
     the heading is one straight ahead, to the north.
     """
     derived, notes = [c for c in ("psi", "u", "v", "r") if not run.has(c)], ()
-    true = {c: _true_channel(sensors, run, c) for c in MOTION_CHANNELS}
+    turned = _shown_deviation(sensors, run, shares)
+    true = {c: _true_channel(sensors, run, c, turned) for c in MOTION_CHANNELS}
+    u, v = to_body(true["u"], true["v"], -turned)
+    if run.has("u") and run.has("v"):
+        true |= {"u": np.asarray(u), "v": np.asarray(v)}
     if not (run.has("psi") or run.has("r")):
         true |= {c: np.zeros_like(run.t) for c in ("psi", "r")}
         notes = ("neither heading nor yaw rate was recorded: straight ahead is assumed",)
@@ -66,10 +86,32 @@ def true_motion(sensors: Sensors, run: Trajectory) -> tuple[dict[str, Samples], 
     return true, notes
 
 
-def _true_channel(sensors: Sensors, run: Trajectory, channel: str) -> Samples:
+def _shown_deviation(sensors: Sensors, run: Trajectory, shares: Shares) -> Samples:
+    """How far (rad) the heading is turned that an estimator shows in every row."""
+    if not (sensors.estimated_headings and run.has("psi")):
+        return np.zeros_like(run.t)
+    known = np.isfinite(run.psi)
+    shown = _extrapolate(_times_shown(sensors, run.t, "psi"), run.t[known], run.psi[known])
+    return _deviation(sensors, run.t, shown - _sensor_steps(sensors, run.t)["psi"], shares)
+
+
+def _deviation(sensors: Sensors, t: Samples, shown: Samples, shares: Shares) -> Samples:
+    """Of an estimator's heading (rad), where it shows one at the times."""
+    begins = np.arange(t.size) == 0
+    found = sensors.deviation(
+        jnp.asarray(shown),
+        {c: jnp.asarray(share) for c, share in shares.items()},
+        jnp.asarray(np.diff(t, prepend=t[0])),
+        jnp.asarray(begins),
+    )
+    return np.asarray(found)
+
+
+def _true_channel(sensors: Sensors, run: Trajectory, channel: str, turned: Samples) -> Samples:
     """A channel in every row without its sensor's errors; NaN, positions zero, if not measured.
 
-    Positions stay those of the antenna.
+    Positions stay those of the antenna, and velocities are turned as they are shown; the heading
+    is less by what it is `turned` (rad).
     """
     values = np.asarray(run.motion[channel])
     finite = np.isfinite(values)
@@ -79,7 +121,7 @@ def _true_channel(sensors: Sensors, run: Trajectory, channel: str) -> Samples:
     shown = shown - _sensor_steps(sensors, run.t)[channel]
     if channel != "psi":
         return shown - float(sensors.gyro_bias) if channel == "r" else shown
-    psi = shown
+    psi = shown = shown - turned
     for _ in range(_COMPASS_ITERATIONS):  # the compass error depends on the heading itself
         psi = shown - _compass_error(sensors, psi)
     return psi

@@ -1,8 +1,11 @@
 """What is measured, as a function of the state: offsets, biases, latencies, lever arms."""
 
+from collections.abc import Mapping
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from diffsea.kinematics import to_earth
 from diffsea.trajectory import MOTION_CHANNELS
@@ -41,6 +44,44 @@ class Step(eqx.Module):
         return jnp.asarray(self.size * jnp.clip(share, 0.0, 1.0))
 
 
+class EstimatedHeading(eqx.Module):
+    """Deviation of a heading that an estimator makes of a gyro and a magnetic compass.
+
+    The heading follows the compass with a `time_constant`, and is off by what it makes of the
+    compass's deviation `cosine cos(psi) + sine sin(psi)`. The field that deflects the compass is
+    that of the `motors`, channels whose current makes it, at their full thrust; without any it is
+    the hull's own. Velocities that are fixes' turned into the vessel's axes by that heading are
+    turned too far with it.
+    """
+
+    cosine: Scalar = 0.0  # rad
+    sine: Scalar = 0.0  # rad
+    time_constant: Scalar = 0.0  # s
+    motors: tuple[str, ...] = eqx.field(static=True, default=())
+
+    def deviation(
+        self,
+        shown: Float[Array, "row"],
+        shares: Mapping[str, Float[Array, "row"]],
+        interval: Float[Array, "row"],
+        begins: Bool[Array, "row"],
+    ) -> Float[Array, "row"]:
+        """Shown minus true heading (rad) along a run, in which `shown` (rad) was read.
+
+        Arguments:
+            shares: of its full thrust, that each motor makes, none of them negative.
+            interval: s since the row before.
+            begins: rows of which nothing is known before: what was, had been so for long.
+        """
+        load = sum((shares[c] for c in self.motors), 0.0) / len(self.motors) if self.motors else 1.0
+        compass = load * (self.cosine * jnp.cos(shown) + self.sine * jnp.sin(shown))
+        left = jnp.exp(-interval / jnp.maximum(self.time_constant, SHORTEST_INTERVAL))
+        left = jnp.where(begins, 0.0, left)
+        # Each row leaves a share of what was before, and adds: such maps are applied in pairs.
+        follow = lambda first, then: (first[0] * then[0], first[1] * then[0] + then[1])
+        return jax.lax.associative_scan(follow, (left, (1 - left) * compass))[1]
+
+
 class Feedback(eqx.Module):
     """How the record of what an actuator executed is off.
 
@@ -68,6 +109,7 @@ class Sensors(eqx.Module):
     gyro_bias: Scalar = 0.0  # rad/s, measured minus true
     heading_steps: tuple[Step, ...] = ()  # of the compass; their sum
     gyro_steps: tuple[Step, ...] = ()
+    estimated_headings: tuple[EstimatedHeading, ...] = ()  # their deviations add up
     lever_x: Scalar = 0.0  # m, antenna forward of amidships
     lever_y: Scalar = 0.0  # m, antenna to starboard
     latency_position: Scalar = 0.0  # s
@@ -99,6 +141,21 @@ class Sensors(eqx.Module):
         psi = sum((one.shown(t, interval) for one in self.heading_steps), none)
         r = sum((one.shown(t, interval) for one in self.gyro_steps), none)
         return jnp.stack([none, none, psi, none, none, r], axis=-1)
+
+    def deviation(
+        self,
+        shown: Float[Array, "row"],
+        shares: Mapping[str, Float[Array, "row"]],
+        interval: Float[Array, "row"],
+        begins: Bool[Array, "row"],
+    ) -> Float[Array, "row"]:
+        """How far (rad) headings and velocities are turned that an estimator has `shown`.
+
+        It is beside what `measure` and `shown` say, which know no past. For the arguments see
+        `EstimatedHeading.deviation`.
+        """
+        found = (one.deviation(shown, shares, interval, begins) for one in self.estimated_headings)
+        return sum(found, jnp.zeros_like(shown))
 
     def measure(
         self, state: State, rate: State, jerk: State, t: Scalar | None = None

@@ -14,6 +14,7 @@ from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.report.wording.horizons import persistence_sentence
 from diffsea.simulation import planning
+from diffsea.simulation.actuation import recorded_shares
 from diffsea.simulation.designs import Grid, LatinHypercube
 from diffsea.simulation.order_units import require_order_units
 from diffsea.simulation.persistence import persistence_errors
@@ -145,7 +146,7 @@ def predict(
     if predicted.outcome == Outcome.DIVERGED:
         raise UserError(f"{run.name}: {Outcome.DIVERGED.sentence}")
     horizons = horizon_errors(boat, run, measured_actuation=measured_actuation)
-    kept_up = persistence_errors(run, boat.sensors)
+    kept_up = persistence_errors(run, boat.sensors, shares=recorded_shares(boat, run))
     return PredictionResult(boat, run, predicted, replay_errors(predicted, run), horizons, kept_up)
 
 

@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Float
 from diffsea.identification.coordinates import CoordinateLayout, vessel_at
 from diffsea.identification.data.batching import batched_scan
 from diffsea.identification.data.dataset import Dataset
+from diffsea.identification.filter.corrections import corrected
 from diffsea.identification.filter.covariance import (
     GustPropagation,
     Noise,
@@ -37,7 +38,6 @@ from diffsea.identification.filter.latency import (
     place_samples,
     placed_samples,
     shown_samples,
-    without_time_errors,
 )
 from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.kinematics import wrap
@@ -267,7 +267,7 @@ def whitened_innovations(
     an unexplained force is located.
     """
     vessel, flows = vessel_at(base, layout, coordinates)
-    vessel, dataset = without_time_errors(vessel, dataset)
+    vessel, dataset = corrected(vessel, dataset)
 
     def body(carry: tuple[Float[Array, "9"], Float[Array, "3"]], inputs: tuple) -> tuple:
         row, correction, whitening, gusts, pulse = inputs
@@ -301,7 +301,7 @@ def run_filter(
     """
     vessel, flows = vessel_at(base, layout, coordinates)
     placement = place_samples(vessel, dataset)
-    vessel, dataset = without_time_errors(vessel, dataset)
+    vessel, dataset = corrected(vessel, dataset)
     R = jnp.exp(2 * noise.sensor)
     P0 = jnp.diag(jnp.concatenate([first_variance(vessel), jnp.exp(2 * noise.slow)]))
 

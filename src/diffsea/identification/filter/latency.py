@@ -1,12 +1,10 @@
-"""Delayed sensors in a Kalman filter, clocks that are not those of the orders, and steps.
+"""Delayed sensors in a Kalman filter.
 
 A sample is used at the first row after the time that it is of, not at the one of its stamp: the
 filter knows no delay, and no delay is too long for it. What is left, less than a row, is bridged by
 the motion since the row before. Which row that is stays as it is while a fit takes a step, whatever
 becomes of the delay: the innovations must not jump.
 """
-
-import dataclasses
 
 import equinox as eqx
 import jax
@@ -15,10 +13,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.identification.data.dataset import Dataset
 from diffsea.kinematics import to_earth
-from diffsea.simulation.actuation import values_between_rows
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects.actuators import change_servos
 
 
 SAME_TIME = 1e-6  # s: times nearer to one another are one
@@ -108,51 +104,3 @@ def shown_samples(
     change = jnp.stack([*turn, acceleration[2], *jnp.zeros(3)])
     past = x - lag * rate + 0.5 * lag**2 * change
     return vessel.sensors.shown(dict(zip(MOTION_CHANNELS, past, strict=True)))
-
-
-def without_time_errors(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Dataset]:
-    """A vessel whose clock and sensors are those of all the run, and the data set put right.
-
-    What a sensor shows too much since an instant is taken off, and rows are as of the clock of
-    the orders.
-    """
-    return align_to_order_clock(*without_steps(vessel, dataset))
-
-
-def without_steps(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Dataset]:
-    """A vessel without steps of its sensors, and the data set without them."""
-    sensors = vessel.sensors
-    if not (sensors.heading_steps or sensors.gyro_steps):
-        return vessel, dataset
-    interval = jnp.concatenate([dataset.dt[:1], dataset.dt[:-1]])
-    measured = dataset.measured - sensors.steps(dataset.run_time, interval)
-    steady = dataclasses.replace(sensors, heading_steps=(), gyro_steps=())
-    vessel = dataclasses.replace(vessel, sensors=steady)
-    return vessel, dataclasses.replace(dataset, measured=measured)
-
-
-def align_to_order_clock(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Dataset]:
-    """A vessel without an error of the clock, and the data set with its rows when they truly were.
-
-    A state stamped t is that of t - (offset + rate t) on the clock of the orders: the rows are
-    moved there, however far the two clocks have parted. Orders within a row are met at their
-    times, up to `servo.ORDERS_PER_STEP` of them.
-    """
-    clock = vessel.sensors.clock
-    if clock is None:
-        return vessel, dataset
-    late = clock.late(dataset.run_time)
-    t = dataset.t - late
-
-    moved = dataclasses.replace(
-        dataset,
-        t=t,
-        run_time=dataset.run_time - late,
-        dt=dataset.dt * (1 - clock.rate),
-        executed={
-            c: values_between_rows(t, dataset.t, held) for c, held in dataset.executed.items()
-        },
-    )
-    right = dataclasses.replace(vessel.sensors, clock=None)
-    vessel = change_servos(vessel, vessel.channels, lambda servo, _: servo.with_delay())
-    return dataclasses.replace(vessel, sensors=right), moved

@@ -33,6 +33,7 @@ from diffsea.identification.estimates import (
     is_at_bound,
     posterior_estimate,
 )
+from diffsea.identification.filter.corrections import corrected
 from diffsea.identification.filter.kalman import (
     FilterRow,
     filter_rows,
@@ -40,7 +41,7 @@ from diffsea.identification.filter.kalman import (
     innovation_of,
     propagate,
 )
-from diffsea.identification.filter.latency import SamplePlacement, without_time_errors
+from diffsea.identification.filter.latency import SamplePlacement
 from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.problem import Coordinates, FreeIndex, Names, Problem
@@ -115,7 +116,7 @@ def simulate_windows(
 ) -> Shot:
     """Simulate every window from its first state, without any correction."""
     vessel, flows = vessel_at(inputs.base, inputs.layout, coordinates)
-    vessel, dataset = without_time_errors(vessel, inputs.dataset)
+    vessel, dataset = corrected(vessel, inputs.dataset)
 
     def body(x: Float[Array, "6"], row_inputs: tuple) -> tuple:
         row, begin, first = row_inputs

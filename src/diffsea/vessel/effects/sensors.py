@@ -19,7 +19,7 @@ from diffsea.vessel.effects.actuators import (
     chosen_channels,
     largest_order,
 )
-from diffsea.vessel.effects.coordinates import Jump, Size, vessel_time
+from diffsea.vessel.effects.coordinates import Coefficient, Jump, Size, vessel_time
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
     Effect,
@@ -31,7 +31,7 @@ from diffsea.vessel.effects.entry import (
     read_names,
     read_table,
 )
-from diffsea.vessel.sensors import Clock, Feedback, Step
+from diffsea.vessel.sensors import Clock, EstimatedHeading, Feedback, Step
 from diffsea.vessel.tables import Table, check_keys, needed, numbers
 
 
@@ -143,26 +143,89 @@ def _add_step(vessel: Vessel, sensor: str, at: CoordinateValues) -> Vessel:
     return dataclasses.replace(vessel, sensors=sensors)
 
 
+@dataclasses.dataclass(frozen=True)
+class TurnedByMotors(MeasuredChannels):
+    """Channels that are turned by a heading, which the current of motors deflects."""
+
+    def in_file(self, vessel: Vessel) -> dict[str, list[str]]:
+        """The channels and the motors by name."""
+        return super().in_file(vessel) | {"actuators": list(vessel.thrusts_at_rest)}
+
+
 def _deviation_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     """A and B of a deviation with an amplitude and a phase."""
     size, phase = numbers.get("amplitude", 0.0), numbers.get("phase", 0.0)
     return float(-size * np.sin(phase)), float(size * np.cos(phase))
 
 
+_DEVIATION = (Size("cosine", "rad", 0.05), Size("sine", "rad", 0.05))
+_AMPLITUDE_AND_PHASE = {"amplitude": "rad", "phase": "rad"}
+_TURNED = ("psi", "u", "v")
+
+
+def _amplitude_and_phase(vessel: Vessel, at: CoordinateValues) -> Numbers:
+    return {
+        "amplitude": jnp.sqrt(at[0] ** 2 + at[1] ** 2),
+        "phase": jnp.arctan2(-at[0], at[1]),
+    }
+
+
+def _read_deviation(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
+    """The deviation of a compass, of an estimator's heading, or that which motors bring about.
+
+    The last where the table names `actuators`, the second where it has a `time_constant`.
+    """
+    check_keys(
+        table, ("name", "amplitude", "phase", "time_constant", "channels", "actuators"), where
+    )
+    values = numbers(table, ("amplitude", "phase", "time_constant"), where)
+    if not values:
+        raise UserError(f"{where} states no number; its keys are amplitude, phase, time_constant")
+    if values.get("time_constant", 0.0) < 0:
+        raise UserError(f"{where}: time_constant = {values['time_constant']:g} s is negative")
+    channels = read_names(table, "channels", where, ' such as ["psi", "u", "v"]')
+    if channels is not None and set(channels) not in ({"psi"}, set(_TURNED)):
+        raise UserError(f'{where}: channels are ["psi"], or ["psi", "u", "v"] of an estimator')
+    cosine, sine = map(np.asarray, _deviation_coordinates(vessel, values))
+    motors = ()
+    if "actuators" in table:
+        motors = tuple(c for c in vessel.channels if c in chosen_channels(vessel, table, where))
+        for channel in motors:
+            if channel not in vessel.thrusts_at_rest:
+                raise UserError(f"{where}: {channel} is no motor: it has no thrust of its own")
+    if not motors and "time_constant" not in values and set(channels or ["psi"]) == {"psi"}:
+        return variants[0].apply(vessel, np.stack([cosine, sine]))
+    delay = np.asarray(values.get("time_constant", 0.0))
+    return _with_estimate(vessel, EstimatedHeading(cosine, sine, delay, motors))
+
+
+def _with_estimate(vessel: Vessel, heading: EstimatedHeading) -> Vessel:
+    """The vessel with one more thing that turns its estimator's heading."""
+    found = (*vessel.sensors.estimated_headings, heading)
+    sensors = dataclasses.replace(vessel.sensors, estimated_headings=found)
+    return dataclasses.replace(vessel, sensors=sensors)
+
+
+def _encode_estimate(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+    return *_deviation_coordinates(vessel, numbers), numbers.get("time_constant", 0.0)
+
+
+_OF_COMPASS = Parametrisation(_AMPLITUDE_AND_PHASE, _amplitude_and_phase, _deviation_coordinates)
+_OF_ESTIMATE = Parametrisation(
+    _AMPLITUDE_AND_PHASE | {"time_constant": "s"},
+    lambda vessel, at: _amplitude_and_phase(vessel, at) | {"time_constant": at[2]},
+    _encode_estimate,
+)
+_FOLLOWS = Coefficient("time_constant", "s", 10.0, (0.0, 100.0), trials=(0.3, 1.0))
+
+
 @sensor_effect(
     "hard-iron",
-    Size("cosine", "rad", 0.05),
-    Size("sine", "rad", 0.05),
+    *_DEVIATION,
     phrase="a compass error of {amplitude} that changes with heading",
     confusables=("current", "heading-offset", "wind"),
-    parametrisation=Parametrisation(
-        {"amplitude": "rad", "phase": "rad"},
-        lambda vessel, at: {
-            "amplitude": jnp.sqrt(at[0] ** 2 + at[1] ** 2),
-            "phase": jnp.arctan2(-at[0], at[1]),
-        },
-        _deviation_coordinates,
-    ),
+    parametrisation=_OF_COMPASS,
+    read=_read_deviation,
 )
 def hard_iron(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """psi_m = psi + amplitude sin(psi - phase): the first harmonic of the deviation of a
@@ -170,6 +233,46 @@ def hard_iron(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """
     vessel = add_to(vessel, lambda v: v.sensors.hard_iron_cos, at[0])
     return add_to(vessel, lambda v: v.sensors.hard_iron_sin, at[1])
+
+
+@sensor_effect(
+    "hard-iron:estimated",
+    *_DEVIATION,
+    _FOLLOWS,
+    phrase="a compass error of {amplitude} that changes with heading, behind an estimator that "
+    "follows it within {time_constant} and turns the velocities with it",
+    confusables=("current", "heading-offset", "wind"),
+    parametrisation=_OF_ESTIMATE,
+    place=MeasuredChannels(_TURNED),
+    read=_read_deviation,
+)
+def hard_iron_estimated(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """time_constant dE/dt + E = amplitude sin(psi_m - phase), psi_m = psi + E, and (u, v) turned
+    with it: a heading estimated from a gyro and a compass, in whose axes velocities are given.
+    """
+    return _with_estimate(vessel, EstimatedHeading(at[0], at[1], at[2]))
+
+
+@sensor_effect(
+    "hard-iron:motors",
+    *_DEVIATION,
+    _FOLLOWS,
+    phrase="a compass that the motors' current deflects, by {amplitude} at full thrust, which an "
+    "estimator follows within {time_constant}, the velocities turned with it",
+    confusables=("current", "heading-offset", "gyro-bias"),
+    possible=lambda vessel: bool(vessel.thrusts_at_rest),
+    parametrisation=_OF_ESTIMATE,
+    place=TurnedByMotors(_TURNED),
+    read=_read_deviation,
+)
+def hard_iron_of_motors(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """time_constant dE/dt + E = L amplitude sin(psi_m - phase), psi_m = psi + E, and (u, v) turned
+    with it; L is the mean share of their full thrust that the motors make, ahead or astern: the
+    magnetic field of a current is proportional to it (Biot and Savart).
+    """
+    return _with_estimate(
+        vessel, EstimatedHeading(at[0], at[1], at[2], tuple(vessel.thrusts_at_rest))
+    )
 
 
 @sensor_effect(
@@ -314,6 +417,8 @@ SENSORS = (
     heading_offset,
     heading_step,
     hard_iron,
+    hard_iron_estimated,
+    hard_iron_of_motors,
     gyro_bias,
     gyro_step,
     _latency("position", "position", mirror="but_position"),
