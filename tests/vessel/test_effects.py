@@ -15,6 +15,8 @@ from tests.paths import ORACLE
 from tests.runs import disagreement, replay, state_of, varied
 
 from diffsea import EFFECTS, Sensors, State, named
+from diffsea.kinematics import to_body
+from diffsea.simulation.actuation import thrust_shares
 from diffsea.simulation.integrate import begin
 from diffsea.simulation.replay import with_heel
 from diffsea.trajectory import MOTION_CHANNELS
@@ -113,7 +115,17 @@ def measured(coordinates):
         motion, change = jax.jvp(rate, (state,), (rate(state),))
         return vessel.sensors.measure(state, motion, change, t) + vessel.sensors.steps(t, STEP)
 
-    return jax.vmap(shown)(states, orders, STEP * np.arange(1, len(orders["port"]) + 1))
+    rows = jax.vmap(shown)(states, orders, STEP * np.arange(1, len(orders["port"]) + 1))
+    return with_deviation(vessel, rows, thrust_shares(vessel, orders))
+
+
+def with_deviation(vessel, rows, shares):
+    """Shown rows, their heading and velocities turned as by an estimator of the heading."""
+    x, y, psi, u, v, r = jnp.moveaxis(rows, 1, 0)
+    turned, intervals = jnp.zeros_like(psi), jnp.full(psi.size, STEP)
+    for _ in range(3):
+        turned = vessel.sensors.deviation(psi + turned, shares, intervals, jnp.arange(psi.size) < 1)
+    return jnp.stack([x, y, psi + turned, *to_body(u, v, turned), r], axis=1)
 
 
 JACOBIAN = jax.jit(jax.jacfwd(measured))

@@ -23,8 +23,7 @@ from diffsea.vessel.effects import EFFECTS
 
 PARTS = (2, 8)  # of each run: what changes once, and what comes and goes
 TOLERATED_SHARE = 0.25  # of what the effect explains: below it the law is good enough to be named
-TOLERATED_OF_SENSORS = 0.1  # kinematics has no laws that only nearly hold
-LAWS = ("actuator", "hull")  # families whose amounts are coefficients of one law, not components
+TOLERATED_OF_SENSORS = 0.1  # but for an estimator's heading: kinematics holds exactly
 
 
 class Constancy(NamedTuple):
@@ -73,14 +72,14 @@ def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: f
     J = nuisance[:, [owner == effect for owner in owners]]
     amounts = EFFECTS[effect].amounts
     sizes = J[:, np.tile(amounts, J.shape[1] // len(amounts))]
-    if EFFECTS[effect].family in LAWS:
+    if EFFECTS[effect].is_law:
         found = fitted.coordinates[problem.layout.indices((effect,))]
         sizes = (J @ found)[:, None]
     # All parts together are the effect but for its prior, which says nothing of constancy.
     own = np.array(J)
     own[: 6 * len(run)] = 0.0
-    is_sensor = EFFECTS[effect].family == "sensor"
-    tolerated = TOLERATED_OF_SENSORS if is_sensor else TOLERATED_SHARE
+    is_exact = EFFECTS[effect].family == "sensor" and not EFFECTS[effect].is_law
+    tolerated = TOLERATED_OF_SENSORS if is_exact else TOLERATED_SHARE
 
     def in_parts(count: int) -> Constancy:
         parts = _columns_of_parts(problem, sizes, count)

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from diffsea.diagnosis.constancy import LAWS, Constancy
+from diffsea.diagnosis.constancy import Constancy
 from diffsea.diagnosis.screening import Candidate, mimicry
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.free_predictions import MotionChange
@@ -89,7 +89,7 @@ class Hypothesis:
         """Whether one size in all the data is to be believed, if it predicts the motion better."""
         if self.constancy is None:
             return False
-        in_runs = self.constancy.same_in_runs and EFFECTS[self.effect].family in LAWS
+        in_runs = self.constancy.same_in_runs and EFFECTS[self.effect].is_law
         predicts = in_runs and self.gain is not None and self.gain.clear
         return predicts or self.constancy.share < NEARLY_ONE_SIZE
 
@@ -121,8 +121,8 @@ class Hypothesis:
         wrong.
         """
         effect, beside = EFFECTS[self.effect], EFFECTS[other.effect]
-        is_own = effect.family in LAWS and beside.family == "environment"
-        is_of_all = effect.family in LAWS and effect.place == Place()
+        is_own = effect.is_law and beside.family == "environment"
+        is_of_all = effect.is_law and effect.place == Place()
         is_law = is_of_all and catalogue_name(other.effect) == "feedback-error"
         return is_own or is_law or self.is_part_of(other)
 

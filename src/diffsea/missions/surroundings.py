@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from diffsea.errors import UserError
 from diffsea.kinematics import components_towards
 from diffsea.missions.record import Flow, SensorErrors, Weather
 from diffsea.simulation.control import AbstractController
@@ -153,9 +154,15 @@ def instrumented(
 ) -> Instrumented:
     """A controller behind the vessel's own sensors and the errors that a mission adds.
 
-    Delays are rounded to whole periods of `period` s; noise is drawn by `seed`.
+    Delays are rounded to whole periods of `period` s; noise is drawn by `seed`. Raises `UserError`
+    for a vessel whose heading is an estimator's: none runs along a mission.
     """
     own = vessel.sensors
+    if own.estimated_headings:
+        raise UserError(
+            "the vessel has the effect hard-iron of an estimator's heading, which missions do not "
+            "have; state it as a compass's (amplitude and phase alone), or take it out of the file"
+        )
     sensors = dataclasses.replace(
         own,
         heading_offset=own.heading_offset + errors.heading_offset,

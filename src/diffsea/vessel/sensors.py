@@ -69,12 +69,16 @@ class EstimatedHeading(eqx.Module):
         """Shown minus true heading (rad) along a run, in which `shown` (rad) was read.
 
         Arguments:
-            shares: of its full thrust, that each motor makes, none of them negative.
+            shares: of its full thrust, that each motor makes from a row to the next, none negative.
             interval: s since the row before.
             begins: rows of which nothing is known before: what was, had been so for long.
         """
         load = sum((shares[c] for c in self.motors), 0.0) / len(self.motors) if self.motors else 1.0
-        compass = load * (self.cosine * jnp.cos(shown) + self.sine * jnp.sin(shown))
+        field = self.cosine * jnp.cos(shown) + self.sine * jnp.sin(shown)
+        over_interval = (
+            jnp.roll(load * jnp.ones_like(shown), 1) * 0.5 * (field + jnp.roll(field, 1))
+        )
+        compass = jnp.where(begins, load * field, over_interval)
         left = jnp.exp(-interval / jnp.maximum(self.time_constant, SHORTEST_INTERVAL))
         left = jnp.where(begins, 0.0, left)
         # Each row leaves a share of what was before, and adds: such maps are applied in pairs.

@@ -237,12 +237,18 @@ def kalman_filter(
 
     Raises:
         UserError: an unknown name, a parameter without a scale, a drift below zero, or a vessel
-            whose clock is off: measurements come with the orders of their moment here.
+            whose clock is off or whose heading is an estimator's: measurements come with the orders
+            of their moment, and by themselves, here.
     """
     if vessel.sensors.clock is not None:
         raise UserError(
             "the vessel has the effect clock-drift; online, stamp measurements with the clock of "
             "the orders and take the effect out of the vessel file"
+        )
+    if vessel.sensors.estimated_headings:
+        raise UserError(
+            "the vessel has the effect hard-iron of an estimator's heading; online, give compass "
+            "and the gyro as they are and take the effect out of the vessel file"
         )
     parameters = parameters_with_priors(vessel, free)
     names = [parameter.name for parameter in parameters]

@@ -97,7 +97,16 @@ class Effect:
     refusal: Callable[[Vessel, Numbers], str] | None = None  # why a file cannot state it, or ""
     read: "Callable[[Vessel, Table, Sequence[Effect], str], Vessel] | None" = None  # own table keys
     mirror: str = ""  # the entry that this would be, were its leading size negative
+    nearly: bool = False  # whether it is a law that holds but nearly, as of hull and actuators
     parts: tuple[str, ...] = ()  # names of those that it is where some of its amounts are zero
+
+    @property
+    def is_law(self) -> bool:
+        """Whether its amounts are coefficients of one law, which real vessels follow nearly.
+
+        Others are components of a flow, or of an error of kinematics, which holds exactly.
+        """
+        return self.nearly or self.family in ("actuator", "hull")
 
     @property
     def units(self) -> dict[str, str]:

@@ -244,6 +244,7 @@ def hard_iron(vessel: Vessel, at: CoordinateValues) -> Vessel:
     confusables=("current", "heading-offset", "wind"),
     parametrisation=_OF_ESTIMATE,
     place=MeasuredChannels(_TURNED),
+    nearly=True,
     read=_read_deviation,
 )
 def hard_iron_estimated(vessel: Vessel, at: CoordinateValues) -> Vessel:
@@ -263,6 +264,7 @@ def hard_iron_estimated(vessel: Vessel, at: CoordinateValues) -> Vessel:
     possible=lambda vessel: bool(vessel.thrusts_at_rest),
     parametrisation=_OF_ESTIMATE,
     place=TurnedByMotors(_TURNED),
+    nearly=True,
     read=_read_deviation,
 )
 def hard_iron_of_motors(vessel: Vessel, at: CoordinateValues) -> Vessel:
