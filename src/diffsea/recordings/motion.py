@@ -12,6 +12,7 @@ from diffsea.trajectory import Samples, Trajectory
 
 _MOST_KNOTS = 400  # windows per comparison: enough for any standard error wanted here
 _FEWEST_SAMPLES = 20  # of a channel that is to be worked with
+_MEMORY = 10.0  # s over which heading is averaged to lose its own noise
 _ONE_SIZE = 1.01  # steps that differ by less are alike
 _BRIDGED_INTERVALS = 3.5  # of a channel's own or the file's: three, and some jitter of the clock
 
@@ -54,6 +55,21 @@ class MeasuredMotion:
     def path_misfit(self) -> Complex[np.ndarray, "time"]:
         """Position less integrated velocity, north + i east, m; constant in sound motion."""
         return self.place - integrate(self.t, self.earth_velocity)
+
+    @property
+    def turned(self) -> Samples:
+        """Integral of the yaw rate, rad."""
+        return integrate(self.t, self.values["r"])
+
+    @property
+    def steady_heading(self) -> Samples:
+        """Heading without noise of its own, rad: that of the yaw rate, led by it over ten seconds.
+
+        Where what depends on the heading is compared with it, its noise must not stand on both
+        sides: it would explain itself.
+        """
+        turned = self.turned
+        return turned + _moving_average(self.values["psi"] - turned, int(_MEMORY / self.interval))
 
     def has(self, *channels: str) -> bool:
         """Whether all these channels have enough samples to work with."""
@@ -159,3 +175,12 @@ def windows(
     whole = np.array([np.all(linked[i : i + stride]) for i in range(0, linked.size, stride)])
     whole = whole[: ends.size - 1]
     return ends[:-1][whole], ends[1:][whole]
+
+
+def _moving_average(series: Samples, width: int) -> Samples:
+    """Mean over about `width` samples, fewer at the ends."""
+    total = np.concatenate([[0.0], np.cumsum(series)])
+    index = np.arange(series.size)
+    first = (index - width // 2).clip(0)
+    last = (index + width // 2 + 1).clip(None, series.size)
+    return (total[last] - total[first]) / (last - first)

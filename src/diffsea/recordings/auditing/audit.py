@@ -15,7 +15,7 @@ from diffsea.recordings.auditing.actuators import actuation_findings, order_find
 from diffsea.recordings.auditing.axes import AxesEvidence
 from diffsea.recordings.auditing.causes import SIGNIFICANCE, Explanation, select_causes
 from diffsea.recordings.auditing.costs import cost
-from diffsea.recordings.auditing.disagreements import disagreement_findings
+from diffsea.recordings.auditing.disagreements import HeadingSource, disagreement_findings
 from diffsea.recordings.auditing.edits import Affine
 from diffsea.recordings.auditing.finding import KINDS, Finding, finding_of
 from diffsea.recordings.auditing.frames import read_frames
@@ -24,6 +24,7 @@ from diffsea.recordings.auditing.kinematics import (
     heading_jump,
     velocity_comparison,
 )
+from diffsea.recordings.auditing.motor_field import MotorField, motor_field
 from diffsea.recordings.auditing.responses import response_findings
 from diffsea.recordings.auditing.samples.bursts import drop_bursts
 from diffsea.recordings.auditing.samples.channels import (
@@ -39,7 +40,7 @@ from diffsea.recordings.auditing.samples.sampling import (
 )
 from diffsea.recordings.motion import MeasuredMotion, motion_of
 from diffsea.runtime import one_blas_thread
-from diffsea.trajectory import Trajectory
+from diffsea.trajectory import Samples, Trajectory
 
 
 # What drifting inwards in turns must gain in deviance over drifting outwards.
@@ -65,7 +66,8 @@ def audit(
     motion, mislabelled = read_frames(motion, others)
     motion, frozen = drop_frozen(motion)
     motion, thrown = drop_bursts(motion)
-    motion, disagreements = _compare_channels(motion, level)
+    field = motor_field(trajectory, motion)
+    motion, disagreements = _compare_channels(motion, level, field)
     found += single + mislabelled + frozen + thrown + disagreements
     orders = {name for one in found if one.kind == "order-not-motion" for name in one.channels}
     executed = actuation_findings(trajectory)
@@ -88,17 +90,21 @@ def cleaned_motion(trajectory: Trajectory) -> tuple[MeasuredMotion, list[Finding
     return motion, wrapped + wild + constant
 
 
-def _compare_channels(motion: MeasuredMotion, level: float) -> tuple[MeasuredMotion, list[Finding]]:
-    """What parts heading from yaw rate and position from velocity; motion without it."""
+def _compare_channels(
+    motion: MeasuredMotion, level: float, field: MotorField | None
+) -> tuple[MeasuredMotion, list[Finding]]:
+    """What parts heading from yaw rate and position from velocity; motion without it.
+
+    `field` is what the motors may do to the heading.
+    """
     heading = None
     if motion.has("psi", "r"):
-        heading = select_causes(heading_comparison(motion, level))
+        heading = select_causes(heading_comparison(motion, level, field))
     found_in_heading = heading.causes if heading else ()
     turned_velocities = False
-    if heading and "iron" in found_in_heading:
-        psi = motion.values["psi"]
-        error = heading.theta["sine"] * np.sin(psi), heading.theta["cosine"] * np.cos(psi)
-        corrected = motion.with_channels(psi=psi - error[0] - error[1])
+    error = _compass_error(motion, heading, field)
+    if error is not None:
+        corrected = motion.with_channels(psi=motion.values["psi"] - error)
         # Velocities that were turned into body axes by the faulty heading agree with that one.
         if motion.has(*_POSITION_AND_VELOCITY):
             turned_velocities = not _position_misfit(corrected) < _position_misfit(motion)
@@ -114,13 +120,28 @@ def _compare_channels(motion: MeasuredMotion, level: float) -> tuple[MeasuredMot
 
         velocity = explain(motion)
         motion, velocity, reversed_sway = _sway_sign(motion, velocity, explain)
-    findings = disagreement_findings(heading, velocity, turned_velocities, jump) + reversed_sway
+    heard = HeadingSource(motion.t, field, turned_velocities)
+    findings = disagreement_findings(heading, velocity, heard, jump) + reversed_sway
     if velocity and "angle" in velocity.causes:
         motion = motion.with_channels(psi=motion.values["psi"] - velocity.theta["angle"])
     if velocity and jump is not None and "step" in velocity.causes:
         error = velocity.theta["step"] * (motion.t > jump)
         motion = motion.with_channels(psi=motion.values["psi"] - error)
     return motion, findings
+
+
+def _compass_error(
+    motion: MeasuredMotion, heading: Explanation | None, field: MotorField | None
+) -> Samples | None:
+    """What the hull's and the motors' fields do to the heading (rad); None where neither does."""
+    if heading is None or not {"iron", "motors"} & {*heading.causes}:
+        return None
+    psi, theta, error = motion.values["psi"], heading.theta, np.zeros(motion.t.size)
+    if "iron" in heading.causes:
+        error = error + theta["sine"] * np.sin(psi) + theta["cosine"] * np.cos(psi)
+    if "motors" in heading.causes and field is not None:
+        error = error + field.deviation(theta["motor_sine"], theta["motor_cosine"])
+    return error
 
 
 def _position_misfit(motion: MeasuredMotion) -> float:

@@ -6,14 +6,24 @@ A misfit is explained by parameters, but a user wants to know what to write into
 import dataclasses
 import functools
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from diffsea.recordings.auditing.causes import Explanation
-from diffsea.recordings.auditing.edits import Affine, Compass, Lever, OverGround, Shift, Step
+from diffsea.recordings.auditing.edits import (
+    Affine,
+    Compass,
+    Lever,
+    OverGround,
+    Shift,
+    Step,
+    Turned,
+)
 from diffsea.recordings.auditing.finding import CAUSES, Finding, finding_of
-from diffsea.recordings.auditing.kinematics import DELAYS
-from diffsea.trajectory import in_words
+from diffsea.recordings.auditing.kinematics import DELAYS, IRON, OF_MOTORS
+from diffsea.recordings.auditing.motor_field import MotorField
+from diffsea.trajectory import Samples, in_words
 
 
 Channels = tuple[str, ...]
@@ -21,21 +31,29 @@ Channels = tuple[str, ...]
 _SMALLEST_LATENCY = 0.1  # s; delays nearer to each other than this are one
 _SAME = 3.0  # standard errors by which two numbers that are one may differ
 _LARGE_ANGLE = np.radians(45.0)  # from which on axes are turned rather than a heading offset
+TURNED = ("psi", "u", "v")  # by an error of the heading that turns velocities into body axes
 _SENSOR_OF = ("x", "u", "psi", "r")  # one channel of each separate sensor
+
+
+class HeadingSource(NamedTuple):
+    """What is known of where the heading comes from."""
+
+    t: Samples  # s, of the motion
+    field: MotorField | None  # what the motors may do to it
+    turned_velocities: bool  # whether u and v were turned into body axes by it
 
 
 def disagreement_findings(
     heading: Explanation | None,
     velocity: Explanation | None,
-    turned_velocities: bool = False,
+    source: HeadingSource,
     jump: float | None = None,
 ) -> list[Finding]:
     """What the two comparisons found; None stands for one that could not be made.
 
     A compass error that the velocities show as well takes the place of a wrong scale of the
-    yaw rate. `turned_velocities` says that u and v were turned into body axes by the heading
-    recorded, so that an error which yaw rate reveals is in them too; `jump` (s) is when heading
-    jumped.
+    yaw rate. Where velocities were turned into body axes by the heading recorded, an error that yaw
+    rate reveals is in them too; `jump` (s) is when heading jumped.
     """
     found = _latencies(heading, velocity)
     velocity = None if velocity is None else _without_slow_clock(velocity)
@@ -43,17 +61,17 @@ def disagreement_findings(
     velocity_faults: _Makers = _VELOCITY_FAULTS
     if jump is not None:
         velocity_faults = velocity_faults | {"step": functools.partial(_heading_step, jump)}
-    for explanation, makers in ((heading, _HEADING_FAULTS), (velocity, velocity_faults)):
+    heading_faults = _HEADING_FAULTS | {
+        "iron": functools.partial(_hard_iron, source.turned_velocities),
+        "motors": functools.partial(_motor_field, source),
+    }
+    for explanation, makers in ((heading, heading_faults), (velocity, velocity_faults)):
         if explanation is None:
             continue
         for cause in explanation.causes:
             if cause not in makers or (compass and explanation is heading and cause == "gain"):
                 continue
             fault = makers[cause](explanation)
-            if explanation is heading and cause == "iron" and turned_velocities:
-                theta = explanation.theta
-                edits = (Compass(theta["sine"], theta["cosine"], True),)
-                fault = dataclasses.replace(fault, edits=edits)
             unsure = _rival_text(explanation, cause)
             message = f"{fault.message}; {unsure}" if unsure else fault.message
             found.append(dataclasses.replace(fault, message=message, doubt=fault.doubt or unsure))
@@ -156,13 +174,41 @@ def _length(found: Explanation, first: str, second: str) -> tuple[float, float]:
     return length, float(np.hypot(a * found.std[first], b * found.std[second]) / length)
 
 
-def _hard_iron(found: Explanation) -> Finding:
+def _hard_iron(turned_velocities: bool, found: Explanation) -> Finding:
     sine, cosine = found.theta["sine"], found.theta["cosine"]
-    size, std = _length(found, "sine", "cosine")
-    phase = float(np.arctan2(sine, cosine))
-    by, edit = {"amplitude": size, "phase": phase}, Compass(sine, cosine)
-    words = {"degrees": np.degrees(size), "phase": np.degrees(phase)}
-    return finding_of("hard-iron", ("psi",), size, std, words, edit, parameters=by)
+    size, std = _length(found, *IRON)
+    by, words = _deviation(size, sine, cosine)
+    edit = Compass(sine, cosine, turned_velocities)
+    if turned_velocities:
+        by |= {"time_constant": 0.0}
+    channels = TURNED if turned_velocities else ("psi",)
+    return finding_of("hard-iron", channels, size, std, words, edit, parameters=by)
+
+
+def _motor_field(source: HeadingSource, found: Explanation) -> Finding:
+    """A field of the motors: its size is that at the run's largest thrust, whatever is possible."""
+    assert source.field is not None
+    size, std = _length(found, *OF_MOTORS)
+    sine, cosine = (found.theta[name] for name in OF_MOTORS)
+    by, words = _deviation(size, sine, cosine)
+    seconds = source.field.time_constant
+    error = source.field.deviation(sine, cosine)
+    edit = Turned(tuple(source.t), tuple(error), source.turned_velocities)
+    channels = TURNED if source.turned_velocities else ("psi",)
+    words |= {"seconds": seconds, "most": np.degrees(np.abs(error).max())}
+    # The catalogue's amplitude is that at full thrust, which only the vessel knows.
+    by["amplitude_at_largest_thrust"] = by.pop("amplitude")
+    by["time_constant"] = seconds
+    return finding_of("motor-field", channels, size, std, words, edit, parameters=by)
+
+
+def _deviation(
+    size: float, sine: float, cosine: float
+) -> tuple[dict[str, float], dict[str, object]]:
+    """Parameters and words of `size sin(heading - phase)`."""
+    phase = float(np.arctan2(-cosine, sine))
+    words = {"degrees": np.degrees(size), "phase": np.degrees(phase) % 360}
+    return {"amplitude": size, "phase": phase}, words
 
 
 def _gyro_bias(found: Explanation) -> Finding:
@@ -209,7 +255,6 @@ _HEADING_FAULTS: _Makers = {
     "gain": functools.partial(_scale, ("r",), "the change of heading"),
     "bias": _gyro_bias,
     "rate": functools.partial(_clock_drift, ("r",), ("psi",), "rate"),
-    "iron": _hard_iron,
 }
 _VELOCITY_FAULTS: _Makers = {
     "gain": functools.partial(_scale, ("u", "v"), "the change of position"),
@@ -219,5 +264,5 @@ _VELOCITY_FAULTS: _Makers = {
     "p_rate": functools.partial(_clock_drift, ("x", "y"), ("u", "v", "psi"), "p_rate"),
     "nu_rate": functools.partial(_clock_drift, ("u", "v"), ("x", "y", "psi"), "nu_rate"),
     "psi_rate": functools.partial(_clock_drift, ("psi",), ("x", "y", "u", "v"), "psi_rate"),
-    "iron": _hard_iron,
+    "iron": functools.partial(_hard_iron, False),
 }

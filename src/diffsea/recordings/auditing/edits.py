@@ -231,10 +231,31 @@ class Compass(ChannelEdit):
     def new_series(self, old: Channels) -> Channels:
         psi = old["psi"]
         error = self.sine * np.sin(psi) + self.cosine * np.cos(psi)
-        if not self.velocities:
-            return {"psi": psi - error}
-        body = (old["u"] + 1j * old["v"]) * np.exp(1j * error)
-        return {"psi": psi - error, "u": body.real, "v": body.imag}
+        return _turned_back(old, error, self.velocities)
+
+
+@dataclasses.dataclass(frozen=True)
+class Turned(ChannelEdit):
+    """Heading less an error (rad) that is known at some times (s), straight lines between them.
+
+    With `velocities`, u and v are turned by it, as those of a `Compass`.
+    """
+
+    times: tuple[float, ...]
+    error: tuple[float, ...]
+    velocities: bool = False
+
+    def new_series(self, old: Channels) -> Channels:
+        error = np.interp(old["t"], self.times, self.error)
+        return _turned_back(old, error, self.velocities)
+
+
+def _turned_back(old: Channels, error: Samples, velocities: bool) -> Channels:
+    """Heading less an error (rad), and velocities turned by it where they had been turned."""
+    if not velocities:
+        return {"psi": old["psi"] - error}
+    body = (old["u"] + 1j * old["v"]) * np.exp(1j * error)
+    return {"psi": old["psi"] - error, "u": body.real, "v": body.imag}
 
 
 @dataclasses.dataclass(frozen=True)

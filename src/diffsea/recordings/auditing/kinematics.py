@@ -1,9 +1,10 @@
 """Heading against yaw rate, and position against velocity: comparisons by kinematics alone.
 
-    psi_m(t) = (1 + k) int r_m + b t + A sin psi + B cos psi
+    psi_m(t) = (1 + k) int r_m + b t + A sin psi + B cos psi + L(t) (D sin psi + E cos psi)
     p_m(t)   = (1 + k) int R(psi_m - a - s - A sin psi - B cos psi) nu_m + c t + R(psi) l
 
-with r, nu, psi and p each possibly late, by a constant or a growing delay, and s a step. Every
+with r, nu, psi and p each possibly late, by a constant or a growing delay, L the motors' load as an
+estimator of the heading follows it, and s a step. Every
 cause is tested with the others present; which of them are there, `causes.select_causes` decides,
 and `disagreements` what they mean.
 """
@@ -20,6 +21,7 @@ from diffsea.recordings.auditing.causes import (
     Levels,
     Parameters,
 )
+from diffsea.recordings.auditing.motor_field import MotorField
 from diffsea.recordings.motion import MeasuredMotion, knots, refine
 from diffsea.series import integrate
 from diffsea.trajectory import Samples
@@ -31,12 +33,12 @@ _FASTEST_DRIFT = 0.1  # s/s, of a clock
 _TURN_PER_STEP = 0.03  # rad, of the clock that integrals are taken on
 _FEWEST_WINDOWS = 15  # that a comparison needs
 _MARGIN = 2.0  # s, at both ends, for delays to reach into
-_MEMORY = 10.0  # s over which heading is averaged to lose its own noise
 # A heading error periodic in heading is told from a scale of the yaw rate only over a wide
 # range of headings (rad); velocities tell it from an offset sooner.
 _IRON_RANGE = 2.0
 _IRON_RANGE_BY_VELOCITY = 0.5
 _LARGEST_IRON = 0.6  # rad
+IRON, OF_MOTORS = ("sine", "cosine"), ("motor_sine", "motor_cosine")  # parameters
 
 _NEIGHBOURS = 9  # changes of heading from row to row, among which a jump stands out
 _JUMP = 6.0  # times the median change, beyond which heading may have jumped
@@ -47,21 +49,20 @@ _SMALLEST_SCALE = 0.005  # a sensor is hardly calibrated better
 DELAYS = {"p_delay": ("x", "y"), "nu_delay": ("u", "v"), "psi_delay": ("psi",)}
 
 
-def heading_comparison(motion: MeasuredMotion, level: float) -> KinematicComparison | None:
+def heading_comparison(
+    motion: MeasuredMotion, level: float, field: MotorField | None = None
+) -> KinematicComparison | None:
     """Measured heading against integrated yaw rate; None where too little is known.
 
     Parameters: `gain`, `bias` (rad/s), `delay` (s) and its `rate` (s/s) of the yaw rate, and the
-    amplitudes `sine` and `cosine` (rad) of a heading error. `level` is how improbable by chance a
-    cause must be.
+    amplitudes `sine` and `cosine` (rad) of a heading error, `motor_sine` and `motor_cosine` of
+    what the motors' `field` makes of it. `level` is how improbable by chance a cause must be.
     """
     index, linked = knots(motion, ("psi", "r"), _MARGIN)
     if np.sum(linked) < _FEWEST_WINDOWS:
         return None
     fine = refine(motion, _TURN_PER_STEP)
-    turned = integrate(fine.t, fine.values["r"])
-    # A heading without its own noise, which must not stand on both sides of the comparison, or
-    # a compass error would explain it.
-    course = turned + _moving_average(fine.values["psi"] - turned, int(_MEMORY / fine.interval))
+    turned, course = fine.turned, fine.steady_heading
     delay, drift = _smallest_delay(motion)
     causes = (
         Cause("gain", ("gain",), _SMALLEST_SCALE, gain=True),
@@ -70,7 +71,11 @@ def heading_comparison(motion: MeasuredMotion, level: float) -> KinematicCompari
         Cause("rate", ("rate",), drift, beside=("delay",)),
     )
     if np.ptp(course) > _IRON_RANGE:
-        causes += (Cause("iron", ("sine", "cosine"), np.radians(1.0)),)
+        causes += (Cause("iron", IRON, np.radians(1.0)),)
+    if field is not None:
+        causes += (Cause("motors", OF_MOTORS, np.radians(1.0), suited=True),)
+        parts = (np.interp(fine.t, motion.t, part) for part in (field.sine, field.cosine))
+        field = MotorField(*parts, field.time_constant)
     ranges = {"gain": (1e-3, 0.9), "bias": (1e-4, 1.0)}
     ranges["delay"], ranges["rate"] = _delay_ranges(motion)
     coarse = integrate(motion.t, motion.values["r"])
@@ -78,10 +83,10 @@ def heading_comparison(motion: MeasuredMotion, level: float) -> KinematicCompari
     return KinematicComparison(
         motion.t[index],
         motion.values["psi"][None, index],
-        functools.partial(_predicted_heading, fine, course, motion.t[index]),
+        functools.partial(_predicted_heading, fine, course, field, motion.t[index]),
         linked,
         causes,
-        ranges | dict.fromkeys(("sine", "cosine"), (1e-3, _LARGEST_IRON)),
+        ranges | dict.fromkeys(IRON + OF_MOTORS, (1e-3, _LARGEST_IRON)),
         doubt=0.02,
         floor=max(np.radians(0.1), unresolved),
         walk=_random_walk(motion, "r"),
@@ -91,7 +96,11 @@ def heading_comparison(motion: MeasuredMotion, level: float) -> KinematicCompari
 
 
 def _predicted_heading(
-    fine: MeasuredMotion, course: Samples, at: Float[np.ndarray, "knot"], theta: Parameters
+    fine: MeasuredMotion,
+    course: Samples,
+    field: MotorField | None,
+    at: Float[np.ndarray, "knot"],
+    theta: Parameters,
 ) -> Levels:
     """Heading (rad) at the knots (s) from yaw rate; `course` is one without noise of its own."""
     t = fine.t
@@ -99,6 +108,8 @@ def _predicted_heading(
     psi = (1 + theta["gain"]) * integrate(t, np.interp(t + late, t, fine.values["r"]))
     psi = psi + theta["bias"] * t
     psi = psi + theta["sine"] * np.sin(course) + theta["cosine"] * np.cos(course)
+    if field is not None:
+        psi = psi + field.deviation(theta["motor_sine"], theta["motor_cosine"])
     return np.interp(at, t, psi)[None]
 
 
@@ -223,7 +234,7 @@ def _velocity_causes(
             Cause(rate, (rate,), drift, beside=(late,), excludes=two_rates),
         ]
     if iron and np.ptp(values["psi"]) > _IRON_RANGE_BY_VELOCITY:
-        causes.append(Cause("iron", ("sine", "cosine"), np.radians(1.5)))
+        causes.append(Cause("iron", IRON, np.radians(1.5)))
     return tuple(causes)
 
 
@@ -237,15 +248,6 @@ def _delay_ranges(motion: MeasuredMotion) -> tuple[tuple[float, float], tuple[fl
     """Step and bound of a delay (s), and of its rate (s/s)."""
     shift = max(0.25, motion.interval)
     return (shift, _LONGEST_DELAY), (shift / motion.duration, _FASTEST_DRIFT)
-
-
-def _moving_average(series: Samples, width: int) -> Samples:
-    """Mean over about `width` samples, fewer at the ends."""
-    total = np.concatenate([[0.0], np.cumsum(series)])
-    index = np.arange(series.size)
-    first = (index - width // 2).clip(0)
-    last = (index + width // 2 + 1).clip(None, series.size)
-    return (total[last] - total[first]) / (last - first)
 
 
 def _random_walk(motion: MeasuredMotion, channel: str) -> float:

@@ -158,7 +158,10 @@ def _deviation_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...
     return float(-size * np.sin(phase)), float(size * np.cos(phase))
 
 
-_DEVIATION = (Size("cosine", "rad", 0.05), Size("sine", "rad", 0.05))
+LARGEST_DEVIATION = 0.6  # rad: no compass is left like that
+_DEVIATION = tuple(
+    Size(part, "rad", 0.05, (-LARGEST_DEVIATION, LARGEST_DEVIATION)) for part in ("cosine", "sine")
+)
 _AMPLITUDE_AND_PHASE = {"amplitude": "rad", "phase": "rad"}
 _TURNED = ("psi", "u", "v")
 
