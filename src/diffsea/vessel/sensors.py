@@ -74,11 +74,9 @@ class EstimatedHeading(eqx.Module):
             begins: rows of which nothing is known before: what was, had been so for long.
         """
         load = sum((shares[c] for c in self.motors), 0.0) / len(self.motors) if self.motors else 1.0
-        field = self.cosine * jnp.cos(shown) + self.sine * jnp.sin(shown)
-        over_interval = (
-            jnp.roll(load * jnp.ones_like(shown), 1) * 0.5 * (field + jnp.roll(field, 1))
-        )
-        compass = jnp.where(begins, load * field, over_interval)
+        compass = load * (self.cosine * jnp.cos(shown) + self.sine * jnp.sin(shown))
+        # By what was read before: else a deviation that shrinks all headings would seem likely.
+        compass = jnp.where(begins, compass, jnp.roll(compass, 1))
         left = jnp.exp(-interval / jnp.maximum(self.time_constant, SHORTEST_INTERVAL))
         left = jnp.where(begins, 0.0, left)
         # Each row leaves a share of what was before, and adds: such maps are applied in pairs.
