@@ -15,12 +15,16 @@ from diffsea import EFFECTS, Effect
 from diffsea.vessel.base import OrderUnit
 from diffsea.vessel.effects import catalogue_name
 from diffsea.vessel.effects.actuators import ORDER_UNIT, OrderedChannels
-from diffsea.vessel.effects.sensors import MeasuredChannels
+from diffsea.vessel.effects.sensors import MeasuredChannels, TurnedByMotors
 
 
 PAGE = Path(__file__).resolve().parents[1] / "effects.md"
 WIDTH = 110
-PLACES = {OrderedChannels: "actuators", MeasuredChannels: "channels"}  # keys, by what is chosen
+PLACES = {  # keys, by what is chosen
+    OrderedChannels: "actuators",
+    MeasuredChannels: "channels",
+    TurnedByMotors: "actuators",
+}
 
 FAMILIES = {
     "environment": (
@@ -105,7 +109,9 @@ WHAT = {
     "shallow-water": "The bottom is near: added masses and damping grow.",
     "heading-offset": "The compass is turned by an angle, always or from some time on.",
     "hard-iron": "The compass is off by an angle that goes round once with the heading, as iron "
-    "aboard makes it.",
+    "aboard makes it, or as the current of the motors does. A heading that is estimated from a "
+    "compass and a gyro follows the compass slowly, and velocities that a receiver gives over "
+    "ground are turned into the vessel's axes by it.",
     "gyro-bias": "The yaw-rate sensor is off by a constant, always or from some time on.",
     "sensor-latency": "Some measured channels arrive late on the clock of the others.",
     "lever-arm": "Positions are those of an antenna that is not at the reference point.",
@@ -170,8 +176,12 @@ KEYS = {
     "shallow-water": {"depth": "of the water, from the surface; more than the draught"},
     "heading-offset": {"angle": "by which the compass reads too high", "time": _STEPPED},
     "hard-iron": {
-        "amplitude": "of the error",
+        "amplitude": "of the error; with `actuators`, at their full thrust",
         "phase": "heading at which the error is zero and grows with the heading",
+        "time_constant": "in which an estimated heading follows the compass; without it the "
+        "heading is the compass",
+        "channels": '`["psi", "u", "v"]` where velocities are turned with the heading',
+        "actuators": "the motors whose current deflects the compass; without it iron aboard does",
     },
     "gyro-bias": {"bias": "by which the sensor reads too high", "time": _STEPPED},
     "sensor-latency": {
@@ -269,6 +279,7 @@ KEY_UNITS = {"frontal_area": "m^2", "lateral_area": "m^2"}  # of keys that are n
 # Which vessels are asked whether they have it, where not all are.
 _KIND = "those with such channels."
 VESSELS = {
+    "hard-iron": "`hard-iron:motors`, those with thrusters or propellers.",
     "wind": "`wind:coefficients`, those whose file has no `wind` yet; and not with an environment "
     "per recording.",
     "shallow-water": "refused for a depth up to the draught.",
