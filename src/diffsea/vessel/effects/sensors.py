@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
@@ -158,6 +159,8 @@ def _deviation_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...
     return float(-size * np.sin(phase)), float(size * np.cos(phase))
 
 
+USUAL_TIME_CONSTANT = 6.0  # s, in which a heading follows its compass, give or take a factor of e
+SHORTEST_TIME_CONSTANT = 0.05  # s: one that follows at once
 LARGEST_DEVIATION = 0.6  # rad: no compass is left like that
 _DEVIATION = tuple(
     Size(part, "rad", 0.05, (-LARGEST_DEVIATION, LARGEST_DEVIATION)) for part in ("cosine", "sine")
@@ -209,17 +212,24 @@ def _with_estimate(vessel: Vessel, heading: EstimatedHeading) -> Vessel:
     return dataclasses.replace(vessel, sensors=sensors)
 
 
+def _time_constant(logarithm: Scalar) -> Scalar:
+    """In s: that of a usual estimator, times the exponential of a coordinate."""
+    return USUAL_TIME_CONSTANT * jnp.exp(logarithm)
+
+
 def _encode_estimate(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
-    return *_deviation_coordinates(vessel, numbers), numbers.get("time_constant", 0.0)
+    time_constant = max(numbers.get("time_constant", 0.0), SHORTEST_TIME_CONSTANT)
+    logarithm = math.log(time_constant / USUAL_TIME_CONSTANT)
+    return *_deviation_coordinates(vessel, numbers), logarithm
 
 
 _OF_COMPASS = Parametrisation(_AMPLITUDE_AND_PHASE, _amplitude_and_phase, _deviation_coordinates)
 _OF_ESTIMATE = Parametrisation(
     _AMPLITUDE_AND_PHASE | {"time_constant": "s"},
-    lambda vessel, at: _amplitude_and_phase(vessel, at) | {"time_constant": at[2]},
+    lambda vessel, at: _amplitude_and_phase(vessel, at) | {"time_constant": _time_constant(at[2])},
     _encode_estimate,
 )
-_FOLLOWS = Coefficient("time_constant", "s", 10.0, (0.0, 100.0), trials=(0.3, 1.0))
+_FOLLOWS = Coefficient("logarithm", "1", 1.0, (-5.0, 3.0), trials=(-1.0,))
 
 
 @sensor_effect(
@@ -254,7 +264,7 @@ def hard_iron_estimated(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """time_constant dE/dt + E = amplitude sin(psi_m - phase), psi_m = psi + E, and (u, v) turned
     with it: a heading estimated from a gyro and a compass, in whose axes velocities are given.
     """
-    return _with_estimate(vessel, EstimatedHeading(at[0], at[1], at[2]))
+    return _with_estimate(vessel, EstimatedHeading(at[0], at[1], _time_constant(at[2])))
 
 
 @sensor_effect(
@@ -276,7 +286,7 @@ def hard_iron_of_motors(vessel: Vessel, at: CoordinateValues) -> Vessel:
     magnetic field of a current is proportional to it (Biot and Savart).
     """
     return _with_estimate(
-        vessel, EstimatedHeading(at[0], at[1], at[2], tuple(vessel.thrusts_at_rest))
+        vessel, EstimatedHeading(at[0], at[1], _time_constant(at[2]), tuple(vessel.thrusts_at_rest))
     )
 
 
