@@ -1,5 +1,9 @@
-"""BlueBoat field runs: audit as published, repair, diagnose on some runs, predict the others."""
+"""BlueBoat field runs: audit as published, repair, diagnose on some runs, predict the others.
 
+python -m experiments.blueboat.run all compass
+"""
+
+import math
 from pathlib import Path
 
 
@@ -22,7 +26,9 @@ from experiments.harness.real_runs import (
     study,
     write_results,
 )
-from experiments.harness.reporting import experiment_in_parts
+from experiments.harness.reporting import Experiment, experiment_in_parts, table
+
+from diffsea import Trajectory
 
 
 # Manoeuvring runs of one to two and a half minutes; the others stay unused.
@@ -30,11 +36,26 @@ TRAIN = ("fixed_00000218.csv", "fixed_00000223.csv", "fixed_00000226.csv", "fixe
 HELD_OUT = ("fixed_00000228.csv", "fixed_00000232.csv")
 
 
+# All but the four shortest: the longest has all manoeuvres in one.
+MORE = tuple(f"fixed_00000{number}.csv" for number in (218, 220, 224, 226, 230, 235))
+REST = tuple(f"fixed_00000{number}.csv" for number in (221, 223, 228, 232))
+
+Runs = dict[str, Trajectory]
+
+
 def main() -> None:
-    """Print what the audit finds before and after the repair, then the diagnosis."""
-    run, _ = experiment_in_parts(__file__, __doc__, ["all"])
-    published = load(HERE, "blueboat/*.csv")
+    """Run the parts that are named, all by default."""
+    run, parts = experiment_in_parts(__file__, __doc__, ["all", "compass"])
     repaired = load(HERE, "blueboat/*.csv", "mapping_repaired.toml")
+    if "all" in parts:
+        _four_runs(run, repaired)
+    if "compass" in parts:
+        _compass(run, repaired)
+
+
+def _four_runs(run: Experiment, repaired: Runs) -> None:
+    """What the audit finds before and after the repair, then the diagnosis."""
+    published = load(HERE, "blueboat/*.csv")
     audits = {"as published": audited(published), "repaired": audited(repaired)}
     for title, findings in audits.items():
         show_audit(title, findings)
@@ -49,6 +70,29 @@ def main() -> None:
         "PREDICTIONS": predictions_table({"": record["held_out"]["horizons"]}),
     }
     run.write_part("all", told(record) | {"audits": audits}, tables)
+
+
+def _compass(run: Experiment, repaired: Runs) -> None:
+    """What motors do to the compass: by each run alone, and by a diagnosis of six runs."""
+    found = [one for one in audited(repaired) if "time_constant" in one["parameters"]]
+    used = {name: repaired[name] for name in (*MORE, *REST)}
+    record = study(Case("blueboat-compass", document_of("blueboat"), used, REST, per_run=True))
+    tables = {
+        "COMPASS": table(
+            ("run", "amplitude at its largest thrust, deg", "phase, deg", "followed within, s"),
+            [_row(one) for one in found if "amplitude_at_largest_thrust" in one["parameters"]],
+        ),
+        "COMPASS_NAMES": names_table({"six runs": record}),
+        "COMPASS_PREDICTIONS": predictions_table({"": record["held_out"]["horizons"]}),
+    }
+    run.write_part("compass", told(record) | {"audit": found}, tables)
+
+
+def _row(finding: dict) -> tuple[str, str, str, str]:
+    by = finding["parameters"]
+    degrees = f"{math.degrees(finding['value']):.0f} +- {math.degrees(finding['std']):.0f}"
+    phase = f"{math.degrees(by['phase']) % 360:.0f}"
+    return finding["recording"], degrees, phase, f"{by['time_constant']:.1f}"
 
 
 if __name__ == "__main__":

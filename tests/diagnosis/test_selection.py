@@ -10,7 +10,7 @@ import pytest
 from tests.diagnosis.small import DOCUMENT, STEADY, UNSTEADY, hypothesis, still_problem, usv
 from tests.runs import random_steps
 
-from diffsea import EFFECTS, Finding, audit
+from diffsea import EFFECTS, Finding, Trajectory, audit
 from diffsea.diagnosis import refits
 from diffsea.diagnosis.audited import AuditedEffect, audited_effects
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
@@ -202,6 +202,29 @@ def test_a_step_that_the_audit_found_at_one_time_in_most_runs_is_one_hypothesis(
     np.testing.assert_allclose(step.coordinates * sizes, [0.3, 40.1])
     assert found(40.0, 55.0, 70.0) == []
     assert found(40.0) == []
+
+
+def test_a_deviation_that_an_audit_finds_begins_a_diagnosis_with_its_size_and_phase():
+    names = ("hard-iron", "hard-iron:estimated", "hard-iron:motors")
+    problem, truth = still_problem(*names), {"amplitude": 0.15, "phase": 0.8}
+    t, rng = np.arange(0, 120, 0.1), np.random.default_rng(4)
+    psi = 0.3 + 0.12 * t
+    shown = psi + truth["amplitude"] * np.sin(psi - truth["phase"])
+    north, east = np.cumsum(0.1 * np.cos(psi)), np.cumsum(0.1 * np.sin(psi))
+
+    def found(turned):
+        e = shown - psi if turned else 0.0
+        true = {"x": north, "y": east, "psi": shown, "u": np.cos(e), "v": -np.sin(e), "r": 0.12}
+        run = {c: one + 0.003 * rng.standard_normal(t.size) for c, one in true.items()}
+        recorded = Trajectory(t, **run, commanded={}, executed={}, extra={}, valid=t >= 0)
+        return audited_effects(usv(), problem.layout, audit(recorded), 1)
+
+    for turned, name in ((False, names[0]), (True, names[1])):
+        (one,) = found(turned)
+        assert one.effect == name
+        sizes = problem.layout.sizes[names.index(name)]
+        by = EFFECTS[name].decode(usv(), one.coordinates * sizes)
+        assert {key: float(by[key]) for key in truth} == pytest.approx(truth, abs=0.06)
 
 
 def test_a_search_whose_time_is_over_says_so(data, nominal, screening):

@@ -22,7 +22,7 @@ from diffsea.identification.holdout import Split
 from diffsea.recordings import Finding
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
-from diffsea.vessel.effects.sensors import MeasuredChannels
+from diffsea.vessel.effects.sensors import MeasuredChannels, TurnedByMotors
 
 
 SHARE_OF_RUNS = 0.5  # in which it must have been found: others may not have excited it
@@ -50,6 +50,8 @@ def audited_effects(
     for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
         if effect.family != "sensor" or effect.needs_feedback:
             continue
+        if isinstance(effect.place, TurnedByMotors):
+            continue  # known by the largest thrust of a run, not by the full one
         for finding in findings:
             channels = isinstance(effect.place, MeasuredChannels) and effect.place.names
             if finding.kind != catalogue_name(effect.name) or finding.doubt:
