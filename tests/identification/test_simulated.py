@@ -142,3 +142,21 @@ def test_runs_start_where_the_filter_found_them(setting):
     made = resimulate(dataclasses.replace(problem, dataset=moved), fitted, np.random.default_rng(1))
     starts = np.asarray(made.dataset.measured)[rows][:, 0]
     assert starts[:2] == pytest.approx([-40.0, 70.0], abs=5 * SENSOR[0])
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"name": "heading-offset", "angle": 0.5, "time": 20.0},
+        {"name": "gyro-bias", "bias": 0.3, "time": 20.0},
+    ],
+)
+def test_what_a_sensor_shows_too_much_is_in_what_is_drawn(setting, effect):
+    """As the filter that takes it off again expects: an error taken off twice would stand out."""
+    _, fitted = setting
+    problem = make_problem(build({**DOCUMENT, "effect": [effect]}), [at_rest(200)], ("X_u",))
+    made = resimulate(problem, fitted, np.random.default_rng(6))
+    assert np.abs(np.asarray(fitted.filter_run(made).white)).max() < 5.0
+    plain = make_problem(build(DOCUMENT), [at_rest(200)], ("X_u",))
+    plain = dataclasses.replace(plain, dataset=made.dataset)
+    assert np.abs(np.asarray(fitted.filter_run(plain).white)).max() > 8.0
