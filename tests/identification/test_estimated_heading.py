@@ -136,14 +136,15 @@ def test_what_an_estimator_makes_of_it_is_taken_off_before_the_filter(table, of_
 
 
 def test_a_late_first_heading_and_gaps_hold_the_heading_nearest_by():
-    missing = np.arange(round(SECONDS / STEP)) % 7 != 5
+    rows = np.arange(round(SECONDS / STEP))
+    missing = (rows % 7 != 5) | (rows < 200)  # the first amid a burst
     seldom = lambda run: dataclasses.replace(run, psi=np.where(missing, np.nan, run.psi))
     vessel = vessel_with(MOTORS)
     dataset = make_dataset(vessel, [seldom(recorded(error()))])
     measured = np.asarray(corrected(vessel, dataset)[1].measured)
     known = np.asarray(dataset.known)[:, 2]
     truth = np.asarray(make_dataset(vessel_with(), [seldom(recorded())]).measured)
-    assert 50 < known.sum() < 0.25 * known.size
+    assert 40 < known.sum() < 0.25 * known.size
     np.testing.assert_allclose(measured[known, 2], truth[known, 2], atol=0.01)
 
 

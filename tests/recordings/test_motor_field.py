@@ -78,3 +78,33 @@ def test_pulses_count_from_their_neutral():
     (finding,) = found_in(dataclasses.replace(run, commanded=pulses))
     (of_thrusts,) = found_in(run)
     assert finding.value == pytest.approx(of_thrusts.value, rel=1e-6)
+
+
+def test_motors_that_ran_before_a_log_began_have_deflected_the_compass_already():
+    whole = recorded(error(), 0.0)
+    run = whole.rows(np.flatnonzero(whole.t >= 16.0))  # amid a burst that began at 10 s
+    field = motor_field(run, motion_of(run))
+    sine = FIELD["amplitude"] * math.cos(FIELD["phase"])
+    cosine = -FIELD["amplitude"] * math.sin(FIELD["phase"])
+    off = field.deviation(sine, cosine)
+    assert off[0] == pytest.approx(FIELD["amplitude"] * math.sin(run.psi[0] - FIELD["phase"]), 0.01)
+
+
+@pytest.mark.parametrize("phase", [0.7, -0.87, 2.2])
+def test_where_motors_hardly_pause_a_field_of_the_hull_is_plainer(phase):
+    """Of thrusts that are on but for the beginning, the fields look much alike."""
+    rng = np.random.default_rng(7)
+    t = np.arange(0, 120, 0.1)
+    r = np.where(t > 8, 0.12, 0.0)
+    psi = np.cumsum(0.1 * r)
+    shown = psi + 0.12 * np.sin(psi - phase) + 0.004 * rng.standard_normal(t.size)
+    nothing, on = np.full(t.size, np.nan), np.where(t > 8, 100.0, 0.0)
+    run = dataclasses.replace(
+        recorded(),
+        **dict.fromkeys(("x", "y", "u", "v"), nothing),
+        psi=shown,
+        r=r + 0.003 * rng.standard_normal(t.size),
+        commanded={"port": on, "starboard": on},
+    )
+    (finding,) = found_in(run)
+    assert set(finding.parameters) == {"amplitude", "phase"}

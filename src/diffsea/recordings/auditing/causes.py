@@ -45,7 +45,7 @@ _FIRST_CAUSES = 3  # from which the forward selection is started
 _REFITTED_CAUSES = 5  # of those that look significant, by a step of least squares
 _TIE = 15.0  # difference of misfit (noise variances) that does not decide between causes
 _PRICE = 30.0  # what one more cause must gain before it beats a smaller set
-_UNLIKELY = 25.0  # what one of the wrong sign, or suited to the data, must gain over its rivals
+_UNLIKELY = 25.0  # what a parameter of the wrong sign must gain over its rivals
 _MUCH_BETTER = 0.3  # of the misfit at zero, that another start must leave to be preferred
 _REVERSE_CERTAINTY = 6.0  # standard errors of the slope of the reverse regression
 _TINY = 1e-12
@@ -145,8 +145,7 @@ class Cause:
     agrees. `likely` is the sign that physics gives the parameter, if it does: the other is
     believed where nothing else will do. A cause is not added to complete any set in
     `excludes`. `starts` are values of its first parameter from which to begin besides zero: a
-    latency of half a turn is not seen from there. One that was `suited` to the data before has to
-    gain more than the others.
+    latency of half a turn is not seen from there.
     """
 
     name: str
@@ -157,7 +156,6 @@ class Cause:
     beside: tuple[str, ...] = ()
     excludes: tuple[frozenset[str], ...] = ()
     starts: tuple[float, ...] = ()
-    suited: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -387,9 +385,7 @@ def _fit_parameters(
 def _criterion(comparison: KinematicComparison, white: Whitener, fit: FittedCauses) -> float:
     """Misfit in units of the noise variance, with a price on causes and parameters."""
     rest = white(comparison.residual(fit.theta))
-    unlikely = sum(
-        cause.suited or cause.likely * fit.theta[cause.parameters[0]] < 0 for cause in fit.causes
-    )
+    unlikely = sum(cause.likely * fit.theta[cause.parameters[0]] < 0 for cause in fit.causes)
     price = len(_parameter_names(fit.causes)) * np.log(rest.size) + _PRICE * len(fit.causes)
     return float(np.sum(rest**2) / white.variance + price + _UNLIKELY * unlikely)
 

@@ -73,7 +73,7 @@ def heading_comparison(
     if np.ptp(course) > _IRON_RANGE:
         causes += (Cause("iron", IRON, np.radians(1.0)),)
     if field is not None:
-        causes += (Cause("motors", OF_MOTORS, np.radians(1.0), suited=True),)
+        causes += (Cause("motors", OF_MOTORS, np.radians(1.0)),)
         parts = (np.interp(fine.t, motion.t, part) for part in (field.sine, field.cosine))
         field = MotorField(*parts, field.time_constant)
     ranges = {"gain": (1e-3, 0.9), "bias": (1e-4, 1.0)}

@@ -17,7 +17,7 @@ from diffsea.trajectory import Samples, Trajectory
 
 
 TIME_CONSTANTS = np.geomspace(1.0, 32.0, 11)  # s, in which an estimator may follow a compass
-_LEAST_CHANGE = 0.5  # of the largest load: one that hardly changes is the hull's own field
+_LEAST_REST = 0.2  # of the time, at less than half the largest load: else it is like the hull's own
 
 
 class MotorField(NamedTuple):
@@ -36,7 +36,7 @@ def motor_field(trajectory: Trajectory, motion: MeasuredMotion) -> MotorField | 
     """The field of the motors' load, followed as slowly as explains the heading best.
 
     By least squares of what heading gains on yaw rate, with a bias of the gyro beside. None where
-    the load is constant, or heading or yaw rate was not measured.
+    the motors seldom rest, or heading or yaw rate was not measured.
     """
     load = _motor_load(trajectory, motion) if motion.has("psi", "r") else None
     if load is None:
@@ -53,7 +53,7 @@ def motor_field(trajectory: Trajectory, motion: MeasuredMotion) -> MotorField | 
 
 
 def _motor_load(trajectory: Trajectory, motion: MeasuredMotion) -> Samples | None:
-    """The motors' mean thrust, whichever way, of its largest in the run; None where it is constant.
+    """The motors' mean thrust, whichever way, of its largest in the run; None if they seldom rest.
 
     Orders count where thrusts were not measured, both from their neutral.
     """
@@ -66,7 +66,8 @@ def _motor_load(trajectory: Trajectory, motion: MeasuredMotion) -> Samples | Non
     if not loads:
         return None
     load = np.mean(loads, axis=0)
-    return load / load.max() if np.ptp(load) > _LEAST_CHANGE * load.max() else None
+    rests = np.mean(load < 0.5 * load.max())
+    return load / load.max() if _LEAST_REST <= rests < 1.0 else None
 
 
 def _followed(t: Samples, course: Samples, load: Samples, time_constant: float) -> MotorField:
