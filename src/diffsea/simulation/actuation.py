@@ -192,7 +192,7 @@ def true_actuation(
 
 
 def thrust_shares(
-    vessel: Vessel, executed: Mapping[str, Float[Array, "*row"]]
+    vessel: Vessel, executed: Mapping[str, Float[Array, "*row"] | Scalar]
 ) -> dict[str, Float[Array, "*row"]]:
     """What share of its full thrust, ahead or astern, each propulsion channel makes at rest.
 

@@ -74,8 +74,8 @@ def heading_comparison(
         causes += (Cause("iron", IRON, np.radians(1.0)),)
     if field is not None:
         causes += (Cause("motors", OF_MOTORS, np.radians(1.0)),)
-        parts = (np.interp(fine.t, motion.t, part) for part in (field.sine, field.cosine))
-        field = MotorField(*parts, field.time_constant)
+        on_fine = functools.partial(np.interp, fine.t, motion.t)
+        field = field._replace(sine=on_fine(field.sine), cosine=on_fine(field.cosine))
     ranges = {"gain": (1e-3, 0.9), "bias": (1e-4, 1.0)}
     ranges["delay"], ranges["rate"] = _delay_ranges(motion)
     coarse = integrate(motion.t, motion.values["r"])
