@@ -3,6 +3,7 @@
 """One step of a fit downhill, against exact derivatives of the filter and deviances made up."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -68,6 +69,18 @@ def test_differences_give_the_gradient_of_the_filters_own_deviance(problem, foun
     errors = [np.abs((one - true) * found.stds).max() for one in (held.gradient, got)]
     assert errors[1] < 2e-3
     assert errors[0] > 0.1  # what held gains leave out
+
+
+def test_an_axis_whose_curvature_is_rounding_spoils_no_other(problem, found, away):
+    index = found.index
+    held = linearise(problem, away.run.gains, away.coordinates, index)
+    expected = gradient_by_differences(problem, away, index, held)
+    values, axes = np.linalg.eigh(held.curvature)
+    values[0] = -1e-16 * values[-1]
+    flat = SimpleNamespace(curvature=axes @ np.diag(values) @ axes.T, gradient=held.gradient)
+    got = gradient_by_differences(problem, away, index, flat)
+    assert np.isfinite(got).all()
+    np.testing.assert_allclose(axes.T[1:] @ got, axes.T[1:] @ expected, rtol=0.02, atol=1e-3)
 
 
 def test_a_slope_that_misleads_is_found_anew_and_leads_to_where_a_fit_ends(

@@ -29,6 +29,7 @@ SHORT_SHARE = 1 / 16  # of a step: where the parabola leads no further, the bow 
 ENOUGH_OF_PROMISE = 0.25  # of what the model promised: a step that gains so much is taken
 NEGLIGIBLE_PROMISE = 1e-3  # of -2 log posterior: a thirtieth of a standard error
 CORRECTED_PROMISE = 0.05  # that was not kept: from it on the slope is found by differences
+ROUNDING = 1e-13  # of the largest curvature: a smaller one may be negative
 DIFFERENCE = 0.05  # standard errors to both sides, by which slopes are found: valleys are bent
 
 
@@ -180,6 +181,7 @@ def gradient_by_differences(
     Where the filter diverges at either side of an axis, the model's slope is kept.
     """
     values, axes = np.linalg.eigh(model.curvature)
+    values = np.maximum(values, ROUNDING * values[-1])
     axes = axes * np.sqrt(2 / values)  # one unit raises the model's deviance by one
 
     def deviance_along(axis: Float[np.ndarray, "free"]) -> float:
