@@ -21,6 +21,7 @@ import diffsea
 from diffsea import Trajectory, UserError
 from diffsea.identification.data.dataset import make_dataset
 from diffsea.identification.filter.corrections import as_shown, corrected
+from diffsea.identification.filter.correlated_errors import thin_channels
 from diffsea.identification.online.ekf import kalman_filter
 from diffsea.simulation.actuation import thrust_shares
 from diffsea.simulation.replay import replay
@@ -129,7 +130,7 @@ def test_what_an_estimator_makes_of_it_is_taken_off_before_the_filter(table, of_
         np.asarray(without.measured)[known], np.asarray(truth)[known], atol=4e-3
     )
     assert plain.sensors.estimated_headings == ()
-    back = as_shown(vessel, dataset, without.measured)
+    back = as_shown(vessel, dataclasses.replace(dataset, measured=without.measured)).measured
     np.testing.assert_allclose(
         np.asarray(back)[known], np.asarray(dataset.measured)[known], atol=1e-9
     )
@@ -146,6 +147,16 @@ def test_a_late_first_heading_and_gaps_hold_the_heading_nearest_by():
     truth = np.asarray(make_dataset(vessel_with(), [seldom(recorded())]).measured)
     assert 40 < known.sum() < 0.25 * known.size
     np.testing.assert_allclose(measured[known, 2], truth[known, 2], atol=7e-3)
+
+
+def test_headings_that_are_no_measurements_any_more_are_read_all_the_same():
+    """Of errors that follow one another one in so many is used; the estimator read every one."""
+    vessel = vessel_with(MOTORS)
+    dataset = make_dataset(vessel, [recorded(error())])
+    thinned = thin_channels(dataset, {"psi": 8})
+    assert np.asarray(thinned.known)[:, 2].sum() < 0.2 * np.asarray(dataset.known)[:, 2].sum()
+    one, other = (corrected(vessel, data)[1].measured for data in (dataset, thinned))
+    np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
 
 
 def test_without_any_heading_velocities_are_as_they_were_measured():

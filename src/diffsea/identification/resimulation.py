@@ -60,10 +60,8 @@ def resimulate(problem: Problem, fitted: Estimate, rng: np.random.Generator) -> 
         at = source[:, k] >= 0
         measured[source[at, k], k] = shown[at, k]
     vessel, _ = vessel_at(problem.base, problem.layout, jnp.asarray(fitted.coordinates))
-    measured = as_shown(vessel, dataset, jnp.asarray(measured))
-    return dataclasses.replace(
-        problem, dataset=eqx.tree_at(lambda d: d.measured, dataset, measured)
-    )
+    drawn = dataclasses.replace(dataset, measured=jnp.asarray(measured))
+    return dataclasses.replace(problem, dataset=as_shown(vessel, drawn))
 
 
 def draw_process_noise(

@@ -39,6 +39,7 @@ LEAD_IN = 3.0  # sqrt(L / g) before each part, of which a delayed channel's firs
 FIRST_VALUES = 20  # of a position, from which a first velocity is estimated
 
 
+_PSI = MOTION_CHANNELS.index("psi")
 _LATERAL = np.array([name not in ("x", "u") for name in MOTION_CHANNELS])
 
 
@@ -67,6 +68,7 @@ class Dataset(eqx.Module):
     dt: Float[Array, "row"]  # s
     measured: Float[Array, "row 6"]  # x, y, psi, u, v, r; zero where missing
     known: Bool[Array, "row 6"]
+    heading: Float[Array, "row"]  # rad, as read last, whether or not it is known as a measurement
     run: Int[Array, "row"]
     part: Int[Array, "row"]  # of a run without long gaps; its lead-in has no samples of that time
     starts: Bool[Array, "row"]  # first recorded row of a part
@@ -243,6 +245,7 @@ def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows
         "dt": np.where(recorded, steps, ahead - np.append(ahead[1:], 0.0)),
         "measured": np.where(known[row] & recorded[:, None], motion[row], 0.0),
         "known": known[row] & recorded[:, None],
+        "heading": held_headings(motion[:, _PSI], known[:, _PSI], starts)[row],
         "run": np.full(len(row), number),
         "part": part[row],
         "starts": starts[row] & recorded,
@@ -255,6 +258,20 @@ def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows
         {c: means_of_rows(all_times, one, keep)[row] for c, one in executed.items()},
         {c: orders_given(all_times, one, keep) for c, one in orders.items()},
     )
+
+
+def held_headings(
+    psi: Float[np.ndarray, "row"], known: Bool[np.ndarray, "row"], begins: Bool[np.ndarray, "row"]
+) -> Float[np.ndarray, "row"]:
+    """The heading (rad) that was read last in every row; before the first of a part, that one.
+
+    `begins` are the first rows of parts. Zero where none is known.
+    """
+    rows = np.arange(psi.size)
+    last = np.maximum.accumulate(np.where(known, rows, -1))
+    following = np.minimum.accumulate(np.where(known, rows, rows.size - 1)[::-1])[::-1]
+    first = np.maximum.accumulate(np.where(begins, rows, 0))
+    return np.where(known, psi, 0.0)[np.where(last >= first, last, following)]
 
 
 def _with_lead_ins(

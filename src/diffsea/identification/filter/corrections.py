@@ -6,12 +6,12 @@ is not that of the orders.
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from diffsea.identification.data.dataset import Dataset
+from diffsea.identification.data.dataset import Dataset, held_headings
 from diffsea.kinematics import to_body
 from diffsea.simulation.actuation import thrust_shares, values_between_rows
 from diffsea.trajectory import MOTION_CHANNELS
@@ -32,15 +32,20 @@ def corrected(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Dataset]:
     return align_to_order_clock(*_without_deviation(*_without_steps(vessel, dataset)))
 
 
-def as_shown(
-    vessel: Vessel, dataset: Dataset, measured: Float[Array, "row 6"]
-) -> Float[Array, "row 6"]:
-    """What `corrected` takes off, put on measurements that lack it, in the rows of a data set."""
-    e = jnp.zeros(dataset.t.size)
+def as_shown(vessel: Vessel, dataset: Dataset) -> Dataset:
+    """A data set as sensors would show it, of one that lacks what `corrected` takes off."""
+    begins, e = np.asarray(_begins(dataset)), jnp.zeros(dataset.t.size)
+    known = np.asarray(dataset.known)[:, _PSI]
+    shown = dataset
     for _ in range(DEVIATION_ROUNDS):
-        shown = eqx.tree_at(lambda d: d.measured, dataset, _turned(measured, e))
+        measured = _turned(dataset.measured, e)
+        heading = jnp.asarray(held_headings(np.asarray(measured)[:, _PSI], known, begins))
+        shown = dataclasses.replace(dataset, measured=measured, heading=heading)
         e = _deviation(vessel, shown)
-    return _turned(measured, e) + _steps(vessel, dataset)
+    steps = _steps(vessel, dataset)
+    return dataclasses.replace(
+        shown, measured=shown.measured + steps, heading=shown.heading + steps[:, _PSI]
+    )
 
 
 def _without_steps(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Dataset]:
@@ -48,10 +53,11 @@ def _without_steps(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Dataset]:
     sensors = vessel.sensors
     if not (sensors.heading_steps or sensors.gyro_steps):
         return vessel, dataset
-    measured = dataset.measured - _steps(vessel, dataset)
+    steps = _steps(vessel, dataset)
+    measured, heading = dataset.measured - steps, dataset.heading - steps[:, _PSI]
     steady = dataclasses.replace(sensors, heading_steps=(), gyro_steps=())
     vessel = dataclasses.replace(vessel, sensors=steady)
-    return vessel, dataclasses.replace(dataset, measured=measured)
+    return vessel, dataclasses.replace(dataset, measured=measured, heading=heading)
 
 
 def _steps(vessel: Vessel, dataset: Dataset) -> Float[Array, "row 6"]:
@@ -81,20 +87,14 @@ def _deviation(vessel: Vessel, dataset: Dataset) -> Float[Array, "row"]:
         else jax.vmap(vessel.servos[channel].target)(dataset.orders[channel])
         for channel in vessel.thrusts_at_rest
     }
-    begins = dataset.starts | (dataset.part != jnp.roll(dataset.part, 1))
-    shown, shares = _last_headings(dataset, begins), thrust_shares(vessel, executed)
-    found = vessel.sensors.deviation(shown, shares, _intervals(dataset), begins)
+    shares, begins = thrust_shares(vessel, executed), _begins(dataset)
+    found = vessel.sensors.deviation(dataset.heading, shares, _intervals(dataset), begins)
     return jnp.where(jnp.any(dataset.known[:, _PSI]), found, 0.0)
 
 
-def _last_headings(dataset: Dataset, begins: Bool[Array, "row"]) -> Float[Array, "row"]:
-    """The heading that was read last in every row; before the first of a part, that one."""
-    rows = jnp.arange(dataset.t.size)
-    known, psi = dataset.known[:, _PSI], dataset.measured[:, _PSI]
-    last = jax.lax.cummax(jnp.where(known, rows, -1))
-    following = jax.lax.cummin(jnp.where(known, rows, rows.size - 1), reverse=True)
-    first = jax.lax.cummax(jnp.where(begins, rows, 0))
-    return psi[jnp.where(last >= first, last, following)]
+def _begins(dataset: Dataset) -> Bool[Array, "row"]:
+    """First rows of parts, or of their lead-ins, and first recorded ones."""
+    return dataset.starts | (dataset.part != jnp.roll(dataset.part, 1))
 
 
 def _turned(measured: Float[Array, "row 6"], angle: Float[Array, "row"]) -> Float[Array, "row 6"]:
