@@ -70,6 +70,18 @@ def test_coefficients_of_a_wind_are_one_in_all_parts(plain):
     assert constancy_test(problem, fitted, name, 10.0).degrees in (2, 14)
 
 
+@pytest.mark.parametrize("name, parts", [("hard-iron:motors", (1, 7)), ("hard-iron", (2, 14))])
+def test_an_estimators_deviation_is_a_law_that_holds_nearly(plain, name, parts):
+    """One multiple of its components in each part, less the whole's; a compass's own are exact."""
+    problem = make_problem(usv(), [plain], FREE, (EFFECTS[name],))
+    begin = np.array(problem.start()[0])
+    begin[problem.layout.indices((name,))[:2]] = 1.0
+    fitted = estimate(problem, (*FREE, name), Start(begin), rounds=1)
+    found = constancy_test(problem, fitted, name, 10.0)
+    assert found.degrees in parts
+    assert (found.tolerated == TOLERATED_SHARE) == (name == "hard-iron:motors")
+
+
 SEVERAL_NUMBERS = {  # effect, its table, coordinates to start from
     "thrust-curve:law": (
         {"thrust-curve": {"deadband": 30.0, "gain": 1.4, "slope": 0.1}},
