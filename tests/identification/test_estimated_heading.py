@@ -18,7 +18,7 @@ from tests.paths import ORACLE
 from tests.runs import varied
 
 import diffsea
-from diffsea import Trajectory, UserError
+from diffsea import EFFECTS, Trajectory, UserError
 from diffsea.identification.data.dataset import make_dataset
 from diffsea.identification.filter.corrections import as_shown, corrected
 from diffsea.identification.filter.correlated_errors import thin_channels
@@ -219,6 +219,12 @@ def test_a_rudder_has_no_current_that_deflects_a_compass():
     rudder = ship["rudder"][0]["name"]
     with pytest.raises(UserError, match="no motor"):
         build(varied(ship, effects=[{**MOTORS, "actuators": [rudder]}]))
+
+
+def test_a_ships_propeller_is_not_asked_for_a_field_of_its_motor():
+    motors = EFFECTS["hard-iron:motors"]
+    assert motors.possible(build(USV)) and not motors.possible(build(load(ORACLE / "ship.toml")))
+    assert motors.place.in_file(build(USV))["actuators"] == ["port", "starboard"]
 
 
 def test_the_three_ways_in_a_file_are_told_apart():

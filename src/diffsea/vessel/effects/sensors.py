@@ -150,7 +150,14 @@ class TurnedByMotors(MeasuredChannels):
 
     def in_file(self, vessel: Vessel) -> dict[str, list[str]]:
         """The channels and the motors by name."""
-        return super().in_file(vessel) | {"actuators": list(vessel.thrusts_at_rest)}
+        return super().in_file(vessel) | {"actuators": list(_motors(vessel))}
+
+
+def _motors(vessel: Vessel) -> tuple[str, ...]:
+    """Channels of thrusters, whose motors are electric; a ship's propeller has another engine."""
+    thrusters = [part for part in vessel.propulsors.values() if part.diameter is None]
+    channels = [channel for part in thrusters for channel in part.servos]
+    return tuple(channel for channel in channels if channel in vessel.thrusts_at_rest)
 
 
 def _deviation_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
@@ -274,7 +281,7 @@ def hard_iron_estimated(vessel: Vessel, at: CoordinateValues) -> Vessel:
     phrase="a compass that the motors' current deflects, by {amplitude} at full thrust, which an "
     "estimator follows within {time_constant}, the velocities turned with it",
     confusables=("current", "heading-offset", "gyro-bias"),
-    possible=lambda vessel: bool(vessel.thrusts_at_rest),
+    possible=lambda vessel: bool(_motors(vessel)),
     parametrisation=_OF_ESTIMATE,
     place=TurnedByMotors(_TURNED),
     nearly=True,
@@ -286,7 +293,7 @@ def hard_iron_of_motors(vessel: Vessel, at: CoordinateValues) -> Vessel:
     magnetic field of a current is proportional to it (Biot and Savart).
     """
     return _with_estimate(
-        vessel, EstimatedHeading(at[0], at[1], _time_constant(at[2]), tuple(vessel.thrusts_at_rest))
+        vessel, EstimatedHeading(at[0], at[1], _time_constant(at[2]), _motors(vessel))
     )
 
 
