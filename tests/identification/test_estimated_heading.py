@@ -221,9 +221,10 @@ def test_a_rudder_has_no_current_that_deflects_a_compass():
         build(varied(ship, effects=[{**MOTORS, "actuators": [rudder]}]))
 
 
-def test_a_ships_propeller_is_not_asked_for_a_field_of_its_motor():
+def test_a_ship_with_a_propeller_is_not_asked_for_an_estimated_heading():
     motors = EFFECTS["hard-iron:motors"]
-    assert motors.possible(build(USV)) and not motors.possible(build(load(ORACLE / "ship.toml")))
+    for one in (motors, EFFECTS["hard-iron:estimated"]):
+        assert one.possible(build(USV)) and not one.possible(build(load(ORACLE / "ship.toml")))
     assert motors.place.in_file(build(USV))["actuators"] == ["port", "starboard"]
 
 

@@ -154,7 +154,10 @@ class TurnedByMotors(MeasuredChannels):
 
 
 def _motors(vessel: Vessel) -> tuple[str, ...]:
-    """Channels of thrusters, whose motors are electric; a ship's propeller has another engine."""
+    """Channels of thrusters, whose motors are electric; a ship's propeller has another engine.
+
+    It is craft with such that have an autopilot's estimate for a heading; a ship has a gyrocompass.
+    """
     thrusters = [part for part in vessel.propulsors.values() if part.diameter is None]
     channels = [channel for part in thrusters for channel in part.servos]
     return tuple(channel for channel in channels if channel in vessel.thrusts_at_rest)
@@ -262,6 +265,7 @@ def hard_iron(vessel: Vessel, at: CoordinateValues) -> Vessel:
     phrase="a compass error of {amplitude} that changes with heading, behind an estimator that "
     "follows it within {time_constant} and turns the velocities with it",
     confusables=("current", "heading-offset", "wind"),
+    possible=lambda vessel: bool(_motors(vessel)),
     parametrisation=_OF_ESTIMATE,
     place=MeasuredChannels(_TURNED),
     nearly=True,
