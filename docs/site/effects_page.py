@@ -180,7 +180,8 @@ KEYS = {
         "phase": "heading at which the error is zero and grows with the heading",
         "time_constant": "in which an estimated heading follows the compass; without it the "
         "heading is the compass",
-        "channels": '`["psi", "u", "v"]` where velocities are turned with the heading',
+        "channels": '`["psi", "u", "v"]`, as with a `time_constant` or `actuators`: '
+        "velocities are turned with the heading",
         "actuators": "the motors whose current deflects the compass; without it iron aboard does",
     },
     "gyro-bias": {"bias": "by which the sensor reads too high", "time": _STEPPED},

@@ -89,7 +89,8 @@ def _deviation(vessel: Vessel, dataset: Dataset) -> Float[Array, "row"]:
     }
     shares, begins = thrust_shares(vessel, executed), _begins(dataset)
     found = vessel.sensors.deviation(dataset.heading, shares, _intervals(dataset), begins)
-    return jnp.where(jnp.any(dataset.known[:, _PSI]), found, 0.0)
+    has_heading = jnp.zeros(dataset.runs, bool).at[dataset.run].max(dataset.known[:, _PSI])
+    return jnp.where(has_heading[dataset.run], found, 0.0)
 
 
 def _begins(dataset: Dataset) -> Bool[Array, "row"]:

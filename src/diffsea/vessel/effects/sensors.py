@@ -189,7 +189,8 @@ def _amplitude_and_phase(vessel: Vessel, at: CoordinateValues) -> Numbers:
 def _read_deviation(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
     """The deviation of a compass, of an estimator's heading, or that which motors bring about.
 
-    The last where the table names `actuators`, the second where it has a `time_constant`.
+    The last where the table names `actuators`, the second where it has a `time_constant` or names
+    the velocities among its `channels`.
     """
     check_keys(
         table, ("name", "amplitude", "phase", "time_constant", "channels", "actuators"), where
@@ -209,8 +210,14 @@ def _read_deviation(vessel: Vessel, table: Table, variants: Sequence[Effect], wh
         for channel in motors:
             if channel not in vessel.thrusts_at_rest:
                 raise UserError(f"{where}: {channel} is no motor: it has no thrust of its own")
-    if not motors and "time_constant" not in values and set(channels or ["psi"]) == {"psi"}:
+    is_compass = not motors and "time_constant" not in values
+    if is_compass and set(channels or ["psi"]) == {"psi"}:
         return variants[0].apply(vessel, np.stack([cosine, sine]))
+    if channels is not None and set(channels) == {"psi"}:
+        raise UserError(
+            f"{where}: an estimator's heading, of which time_constant and actuators speak, turns "
+            'the velocities with it: channels = ["psi", "u", "v"], or leave them out'
+        )
     delay = np.asarray(values.get("time_constant", 0.0))
     return _with_estimate(vessel, EstimatedHeading(cosine, sine, delay, motors))
 
