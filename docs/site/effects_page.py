@@ -15,7 +15,8 @@ from diffsea import EFFECTS, Effect
 from diffsea.vessel.base import OrderUnit
 from diffsea.vessel.effects import catalogue_name
 from diffsea.vessel.effects.actuators import ORDER_UNIT, OrderedChannels
-from diffsea.vessel.effects.sensors import MeasuredChannels, TurnedByMotors
+from diffsea.vessel.effects.compass import TurnedByMotors
+from diffsea.vessel.effects.entry import MeasuredChannels
 
 
 PAGE = Path(__file__).resolve().parents[1] / "effects.md"

@@ -22,7 +22,8 @@ from diffsea.identification.holdout import Split
 from diffsea.recordings import Finding
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
-from diffsea.vessel.effects.sensors import MeasuredChannels, TurnedByMotors
+from diffsea.vessel.effects.compass import TurnedByMotors
+from diffsea.vessel.effects.entry import MeasuredChannels
 
 
 SHARE_OF_RUNS = 0.5  # in which it must have been found: others may not have excited it

@@ -9,7 +9,7 @@ from diffsea.report.quantities import is_known, odds, round_to_error, with_error
 from diffsea.trajectory import in_words
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
 from diffsea.vessel.effects.actuators import SIDES
-from diffsea.vessel.effects.sensors import MeasuredChannels
+from diffsea.vessel.effects.entry import MeasuredChannels
 
 
 Record = dict[str, Any]  # a part of diagnosis.json or fit.json

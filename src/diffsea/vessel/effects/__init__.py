@@ -7,6 +7,7 @@ diagnoses look for it. May import the rest of `vessel`, `kinematics` and `types`
 from diffsea.errors import UserError, nearest_of
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.actuators import ACTUATORS
+from diffsea.vessel.effects.compass import COMPASS
 from diffsea.vessel.effects.coordinates import Coefficient as Coefficient
 from diffsea.vessel.effects.coordinates import Coordinate as Coordinate
 from diffsea.vessel.effects.coordinates import Frequency as Frequency
@@ -19,6 +20,7 @@ from diffsea.vessel.effects.entry import catalogue_name as catalogue_name
 from diffsea.vessel.effects.entry import read_table
 from diffsea.vessel.effects.entry import spoken_name as spoken_name
 from diffsea.vessel.effects.environment import ENVIRONMENT
+from diffsea.vessel.effects.feedback import FEEDBACK
 from diffsea.vessel.effects.hull import HULL
 from diffsea.vessel.effects.sensors import SENSORS
 from diffsea.vessel.effects.thrust import THRUST
@@ -26,7 +28,8 @@ from diffsea.vessel.tables import Table
 
 
 EFFECTS: dict[str, Effect] = {
-    effect.name: effect for effect in (*SENSORS, *ENVIRONMENT, *ACTUATORS, *THRUST, *HULL)
+    effect.name: effect
+    for effect in (*COMPASS, *SENSORS, *FEEDBACK, *ENVIRONMENT, *ACTUATORS, *THRUST, *HULL)
 }
 
 

@@ -26,6 +26,7 @@ from diffsea.vessel.effects.coordinates import (
     value_on,
 )
 from diffsea.vessel.forces import AbstractForce
+from diffsea.vessel.sensors import Step
 from diffsea.vessel.tables import Table, check_keys, numbers
 
 
@@ -65,6 +66,17 @@ class Place:
     def unit_on(self, vessel: Vessel, unit: str) -> str:
         """A unit of the catalogue on this vessel."""
         return unit
+
+
+@dataclasses.dataclass(frozen=True)
+class MeasuredChannels(Place):
+    """Channels of the motion that are measured wrongly."""
+
+    names: tuple[str, ...]
+
+    def in_file(self, vessel: Vessel) -> dict[str, list[str]]:
+        """All of them by name."""
+        return {"channels": list(self.names)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -222,6 +234,13 @@ def add_to(part: Part, where: Callable[[Part], Any], by: Scalar) -> Part:
     return eqx.tree_at(where, part, replace_fn=lambda value: value + by)
 
 
+def add_step(vessel: Vessel, sensor: str, at: CoordinateValues) -> Vessel:
+    """The vessel with a sensor of the vessel that is off by a size from a time on."""
+    steps = (*getattr(vessel.sensors, sensor), Step(at[0], at[1]))
+    sensors = dataclasses.replace(vessel.sensors, **{sensor: steps})
+    return dataclasses.replace(vessel, sensors=sensors)
+
+
 def with_force(vessel: Vessel, name: str, force: AbstractForce | AbstractDependentForce) -> Vessel:
     """The vessel with a force of that name, instead of the one of its kind that it may have."""
     if isinstance(force, AbstractForce):
@@ -262,6 +281,15 @@ def read_table(
             raise UserError(f"{where}: {why}")
         vessel = variant.apply(vessel, np.asarray(variant.encode(vessel, values)))
     return vessel
+
+
+def read_from_an_instant(
+    vessel: Vessel, table: Table, variants: Sequence[Effect], where: str
+) -> Vessel:
+    """An error of all the run, or from the `time` on that a table states."""
+    constant, stepped = variants
+    chosen = stepped if "time" in table else constant
+    return read_table(vessel, table, [chosen], where, others=("time",))
 
 
 def read_names(table: Table, key: str, where: str, example: str = "") -> list[str] | None:
