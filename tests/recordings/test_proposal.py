@@ -587,6 +587,21 @@ def test_pulses_of_a_servo_are_angles_and_those_of_a_motor_orders(tmp_path, neut
     np.testing.assert_allclose(run.u, native["u"], atol=0.05)  # its course is that of chords
 
 
+@pytest.mark.parametrize("name, full, channel", [
+    ("throttle_cmd", 1.0, "motor"), ("throttle", 100.0, "motor"), ("motor_cmd", 1.0, "motor"),
+    ("motor_cmd", 300.0, "propeller"), ("propeller_cmd", 1.0, "propeller"),
+])  # fmt: skip
+def test_a_share_of_full_power_drives_a_motor_and_what_revolves_a_propeller(
+    name, full, channel, tmp_path
+):
+    hobby_log(tmp_path)
+    table = pd.read_csv(tmp_path / "log.csv")
+    table[name] = full * (table.pop("esc_us") - 1500) / 400
+    table.to_csv(tmp_path / "log.csv", index=False)
+    proposed = propose_mapping(tmp_path / "log.csv").sure
+    assert f"cmd_{channel}" in proposed or f"exec_{channel}" in proposed
+
+
 def test_a_servo_without_a_pulse_is_no_angle(tmp_path):
     hobby_log(tmp_path)
     table = pd.read_csv(tmp_path / "log.csv")

@@ -197,7 +197,7 @@ def _actuator(
     """The column in a role that it has with some chance, with its unit and its push."""
     ordered, reason, sure = _is_order(column, suggestion, runs)
     values = np.concatenate([_finite(run, column) for run in runs])
-    push, is_share = _vote(verdicts), suggestion.unit == "%"
+    push, is_share = _vote(verdicts), _is_share(suggestion, values)
     if pulses.are_pulses(values):
         if role == "rudder":
             return _rudder_by_pulses(column, values, sure * chance, push)
@@ -213,6 +213,15 @@ def _actuator(
             unit = "rpm" if largest > _FASTEST else "rev/s"
     role = "motor" if role == "propeller" and is_share else role
     return ActuatorColumn(column, role, sure * chance, unit, ordered, reason, push)
+
+
+def _is_share(suggestion: Suggestion, values: Float[np.ndarray, "_"]) -> bool:
+    """Whether a column holds shares of full power: a throttle, or no more than one of something."""
+    if suggestion.unit == "%" or "throttle" in suggestion.words:
+        return True
+    revolves = bool(_ROTATING & set(suggestion.words))
+    within_one = float(np.max(np.abs(values), initial=0.0)) <= 1.0
+    return not revolves and suggestion.unit in ("", "1") and within_one
 
 
 def _rudder_by_pulses(
