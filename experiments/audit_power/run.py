@@ -310,7 +310,7 @@ def main() -> None:
     parser.add_argument("--level", type=float, help="significance instead of the audit's own")
     parser.add_argument("--sets", nargs="+", choices=["simulated", *REAL], help="only these")
     arguments = parser.parse_args()
-    from diffsea.recordings.auditing.causes import SIGNIFICANCE
+    from diffsea.recordings.auditing.kinematics.selection import SIGNIFICANCE
 
     level = arguments.level or SIGNIFICANCE
     few = arguments.quick

@@ -9,7 +9,7 @@ import pytest
 from tests.identification.test_estimated_heading import FIELD, error, recorded
 
 from diffsea.recordings.auditing.audit import audit
-from diffsea.recordings.auditing.motor_field import motor_field
+from diffsea.recordings.auditing.kinematics.motor_field import motor_field
 from diffsea.recordings.motion import motion_of
 
 

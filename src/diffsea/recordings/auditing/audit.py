@@ -13,18 +13,25 @@ import numpy as np
 
 from diffsea.recordings.auditing.actuators import actuation_findings, order_findings
 from diffsea.recordings.auditing.axes import AxesEvidence
-from diffsea.recordings.auditing.causes import SIGNIFICANCE, Explanation, select_causes
 from diffsea.recordings.auditing.costs import cost
-from diffsea.recordings.auditing.disagreements import HeadingSource, disagreement_findings
 from diffsea.recordings.auditing.edits import Affine
 from diffsea.recordings.auditing.finding import KINDS, Finding, finding_of
 from diffsea.recordings.auditing.frames import read_frames
-from diffsea.recordings.auditing.kinematics import (
+from diffsea.recordings.auditing.kinematics.disagreements import (
+    HeadingSource,
+    disagreement_findings,
+)
+from diffsea.recordings.auditing.kinematics.motor_field import MotorField, motor_field
+from diffsea.recordings.auditing.kinematics.relations import (
     heading_comparison,
     heading_jump,
     velocity_comparison,
 )
-from diffsea.recordings.auditing.motor_field import MotorField, motor_field
+from diffsea.recordings.auditing.kinematics.selection import (
+    SIGNIFICANCE,
+    Explanation,
+    select_causes,
+)
 from diffsea.recordings.auditing.responses import response_findings
 from diffsea.recordings.auditing.samples.bursts import drop_bursts
 from diffsea.recordings.auditing.samples.channels import (

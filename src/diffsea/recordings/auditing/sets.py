@@ -11,8 +11,8 @@ import numpy as np
 
 from diffsea.recordings.auditing.audit import audit, cleaned_motion
 from diffsea.recordings.auditing.axes import axes_evidence
-from diffsea.recordings.auditing.causes import SIGNIFICANCE
 from diffsea.recordings.auditing.finding import Finding
+from diffsea.recordings.auditing.kinematics.selection import SIGNIFICANCE
 from diffsea.recordings.mappings import native_channels
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory

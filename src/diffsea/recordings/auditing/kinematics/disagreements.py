@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffsea.recordings.auditing.causes import Explanation
 from diffsea.recordings.auditing.edits import (
     Affine,
     Compass,
@@ -21,8 +20,9 @@ from diffsea.recordings.auditing.edits import (
     Turned,
 )
 from diffsea.recordings.auditing.finding import CAUSES, Finding, finding_of
-from diffsea.recordings.auditing.kinematics import DELAYS, IRON, OF_MOTORS
-from diffsea.recordings.auditing.motor_field import MotorField
+from diffsea.recordings.auditing.kinematics.motor_field import MotorField
+from diffsea.recordings.auditing.kinematics.relations import DELAYS, IRON, OF_MOTORS
+from diffsea.recordings.auditing.kinematics.selection import Explanation
 from diffsea.trajectory import Samples, in_words
 
 

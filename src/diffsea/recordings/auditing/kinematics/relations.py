@@ -5,7 +5,7 @@
 
 with r, nu, psi and p each possibly late, by a constant or a growing delay, L the motors' load as an
 estimator of the heading follows it, and s a step. Every
-cause is tested with the others present; which of them are there, `causes.select_causes` decides,
+cause is tested with the others present; which of them are there, `selection.select_causes` decides,
 and `disagreements` what they mean.
 """
 
@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float, Inexact
 from scipy import ndimage
 
-from diffsea.recordings.auditing.causes import (
+from diffsea.recordings.auditing.kinematics.comparison import (
     Cause,
     KinematicComparison,
-    Levels,
     Parameters,
 )
-from diffsea.recordings.auditing.motor_field import MotorField
+from diffsea.recordings.auditing.kinematics.motor_field import MotorField
+from diffsea.recordings.auditing.kinematics.noise import Levels
 from diffsea.recordings.motion import MeasuredMotion, knots, refine
 from diffsea.series import integrate
 from diffsea.trajectory import Samples
