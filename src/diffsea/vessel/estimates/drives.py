@@ -21,6 +21,7 @@ from diffsea.vessel.estimates.scatter import WIDEST, DerivativeEstimate
 THRUST_UNITS: tuple[OrderUnit, ...] = ("us", "percent", "normalised", "N")
 EXPONENT, EXPONENT_WIDTH = 1.5, 0.3  # between thrust in proportion to orders and to their square
 ASTERN, ASTERN_WIDTH = 0.7, 0.4  # thrust full astern over ahead (Fossen 2021: 0.58 of the Otter)
+LAG, LAG_WIDTH = 0.2, 1.0  # s; thrusters of small craft: under 0.1 s to 1 s (the Otter's)
 KNOWN_THRUST_WIDTH = 0.15  # of a stated full thrust
 TOP_SPEED_WIDTHS = {True: 0.1, False: 0.3}  # by whether the top speed is known
 MAX_ANGLE = math.radians(35)
@@ -101,12 +102,14 @@ class Thrusters:
         for name in self.names:
             y = sides.get(name, 0.0) * spacing
             table: dict[str, object] = {"name": name, "x": -0.5 * outline.length, "y": y}
+            table["time_constant"] = LAG
             reasons = {"x": "assumed: at the stern; a push straight ahead does not depend on it"}
             reasons |= {"y": f"half of {spacing:.4g} m, {why}"} if y else {}
+            reasons["time_constant"] = "s, assumed: a motor that follows its order"
             if self.unit == "N":
                 table |= {"unit": "N"}
                 table |= {} if self.full_thrust is None else {"max_force": thrust}
-                made.append(Part("thruster", table, reasons, {}))
+                made.append(Part("thruster", table, reasons, {"time_constant": LAG_WIDTH}))
                 continue
             curve, told = self._curve(thrust, said)
             widths = {"full_thrust": width, "exponent": EXPONENT_WIDTH}
@@ -117,7 +120,8 @@ class Thrusters:
                     "thruster",
                     table | of_scale | {"thrust_curve": curve},
                     reasons | of_ends | {f"thrust_curve.{k}": text for k, text in told.items()},
-                    {f"thrust_curve.{key}": one for key, one in widths.items()},
+                    {"time_constant": LAG_WIDTH}
+                    | {f"thrust_curve.{key}": one for key, one in widths.items()},
                 )
             )
         return made
