@@ -29,6 +29,7 @@ from diffsea.simulation.control import (
     autopilot,
     discrete_lqr,
     discretise,
+    full_throttle,
     riccati,
     speed_hold,
     steering_model,
@@ -57,6 +58,26 @@ SHIP = {
 @functools.cache
 def boat():
     return build(SHIP)
+
+
+@pytest.mark.parametrize("turned, left_alone", [(90, True), (-75, True), (45, False), (180, False)])
+def test_a_thruster_that_pushes_across_is_left_alone(turned, left_alone):
+    bow = {"name": "bow", "x": 2.0, "y": 0.1, "angle": np.radians(turned), "max_force": 40.0}
+    vessel = build(SHIP | {"thruster": [*SHIP["thruster"], bow]})
+    pair, all_of_them = ControlAllocation(boat()), ControlAllocation(vessel)
+    orders = all_of_them.orders(200.0, 0.1)
+    assert bool(orders["bow"] == 0) is left_alone
+    share = 1.0 if left_alone else 2 / 3
+    for channel, order in pair.orders(200.0, 0.1).items():
+        np.testing.assert_allclose(orders[channel], share * order, rtol=1e-12)
+    limit = 500.0 if left_alone else 120.0
+    assert float(full_throttle(vessel)) == pytest.approx(limit)
+
+
+def test_a_vessel_whose_thrusters_push_across_is_neither_driven_nor_steered():
+    across = [part | {"angle": np.pi / 2} for part in SHIP["thruster"]]
+    allocation = ControlAllocation(build(SHIP | {"thruster": across}))
+    assert not allocation.propelled and not allocation.steerable
 
 
 # -- laws ------------------------------------------------------------------------------

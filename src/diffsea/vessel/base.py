@@ -69,14 +69,17 @@ class AbstractActuator(eqx.Module):
 
     A channel is one commanded number; `servos` gives each channel's response from order to
     executed value. `command` is the role and unit of all channels; a class whose channels differ
-    says it in `channels` instead. `force` turns executed values into a force. Actuators of a
-    `differential` kind steer by the difference of their thrusts on both sides.
+    says it in `channels` instead. `force` turns executed values into a force.
     """
 
-    differential: ClassVar[bool] = False
     command: ClassVar[CommandChannel]
     servos: eqx.AbstractVar[dict[str, Servo]]
     y: eqx.AbstractVar[Scalar]  # m to starboard
+
+    @property
+    def differential(self) -> bool:
+        """Whether it steers by the difference of thrusts on both sides."""
+        return False
 
     @property
     def channels(self) -> dict[str, CommandChannel]:
@@ -146,6 +149,11 @@ class AbstractPropulsor(AbstractActuator):
 
     losses: eqx.AbstractVar[Losses]
     diameter: eqx.AbstractVar[Scalar | None]  # m, of a screw's disc; None where it is not known
+
+    @property
+    def takes_throttle(self) -> bool:
+        """Whether control allocation drives with it; one that pushes across is left alone."""
+        return True
 
     @property
     @abc.abstractmethod

@@ -35,9 +35,10 @@ class ControlAllocation(eqx.Module):
 
     def sharing(self, part: AbstractActuator) -> int:
         """How many actuators divide a throttle of its kind: all alike where it is in N."""
-        in_newtons = isinstance(part, AbstractPropulsor) and part.bollard_coefficient is None
-        parts = self.vessel.actuators.values()
-        return sum(type(other) is type(part) for other in parts) if in_newtons else 1
+        if not isinstance(part, AbstractPropulsor) or part.bollard_coefficient is not None:
+            return 1
+        parts = self.vessel.propulsors.values()
+        return max(sum(type(one) is type(part) and one.takes_throttle for one in parts), 1)
 
     @property
     def steerable(self) -> bool:
@@ -51,7 +52,7 @@ class ControlAllocation(eqx.Module):
     @property
     def propelled(self) -> bool:
         """Whether a throttle changes anything."""
-        return bool(self.vessel.propulsors)
+        return any(part.takes_throttle for part in self.vessel.propulsors.values())
 
 
 def require_steering(vessel: Vessel, manoeuvre: str) -> None:
@@ -143,7 +144,7 @@ def full_throttle(vessel: Vessel) -> Scalar:
     limits = [
         allocation.sharing(part) * jnp.asarray(full, float)
         for part in vessel.propulsors.values()
-        if (full := part.full_throttle) is not None
+        if part.takes_throttle and (full := part.full_throttle) is not None
     ]
     return jnp.min(jnp.stack(limits)) if limits else math.inf
 

@@ -25,6 +25,7 @@ from diffsea.vessel.servo import Servo
 from diffsea.vessel.tables import Table, check_keys, needed, numbers, optional_number, positive
 
 
+MOST_TRANSVERSE = 0.5  # cosine of the angle below which a thruster pushes across: 60 deg off
 TURN_ROUNDING = 1e-3  # rad: how exactly a file says half a turn to both sides
 
 
@@ -73,10 +74,9 @@ class FixedThruster(AbstractThruster):
     """A thruster of fixed direction.
 
     Thrusters of both sides steer by their difference: angle / 35 deg is the difference of port and
-    starboard thrust over their sum.
+    starboard thrust over their sum. A transverse one is left alone by control allocation, as a
+    tunnel thruster is.
     """
-
-    differential: ClassVar[bool] = True
 
     servos: dict[str, Servo]
     x: Scalar = 0.0  # m forward of amidships
@@ -84,6 +84,15 @@ class FixedThruster(AbstractThruster):
     angle: Scalar = 0.0  # rad, direction of push from ahead, clockwise
     drive: Drive = Drive()
     losses: Losses = Losses()
+    transverse: bool = eqx.field(static=True, default=False)  # pushes rather across than along
+
+    @property
+    def differential(self) -> bool:
+        return not self.transverse
+
+    @property
+    def takes_throttle(self) -> bool:
+        return not self.transverse
 
     @property
     def force_channel(self) -> str:
@@ -94,6 +103,8 @@ class FixedThruster(AbstractThruster):
         return dict.fromkeys(self.servos, CommandChannel("propulsion", self.drive.unit))
 
     def orders(self, throttle: Scalar, angle: Scalar) -> dict[str, Scalar]:
+        if self.transverse:
+            return {self.force_channel: self.order_of(0.0)}
         share = 1 + -jnp.sign(self.y) * angle / HARD_OVER
         if self.drive.takes_speed:
             # Thrust goes with |n| n, so a share of the thrust is a root of the speed.
@@ -108,11 +119,13 @@ class FixedThruster(AbstractThruster):
         where, places = f"[[thruster]] {name!r}", ("x", "y", "angle")
         _check_thruster_keys(table, places, where)
         drive, scale = read_drive(table, where)
+        at = numbers(table, places, where)
         return cls(
             {name: dataclasses.replace(Servo.from_table(table, where), **scale)},
             drive=drive,
             losses=Losses.from_table(table, where),
-            **numbers(table, places, where),
+            transverse=abs(math.cos(at.get("angle", 0.0))) < MOST_TRANSVERSE,
+            **at,
         )
 
 
