@@ -76,8 +76,10 @@ def test_a_thruster_that_pushes_across_is_left_alone(turned, left_alone):
 
 def test_a_vessel_whose_thrusters_push_across_is_neither_driven_nor_steered():
     across = [part | {"angle": np.pi / 2} for part in SHIP["thruster"]]
-    allocation = ControlAllocation(build(SHIP | {"thruster": across}))
+    vessel = build(SHIP | {"thruster": across})
+    allocation = ControlAllocation(vessel)
     assert not allocation.propelled and not allocation.steerable
+    assert float(throttle_for(vessel, 1.0)) == 0.0
 
 
 # -- laws ------------------------------------------------------------------------------

@@ -94,7 +94,7 @@ def throttle_for(vessel: Vessel, speed: Scalar) -> Scalar:
     Differentiable in the vessel and the speed by the implicit-function theorem. Newton's method
     starts from a propeller at J = 0.6, or from a thrust equal to the drag.
     """
-    propulsors = vessel.propulsors.values()
+    propulsors = [part for part in vessel.propulsors.values() if part.takes_throttle]
     if not propulsors:
         return jnp.zeros(())
     diameters = [part.diameter for part in propulsors if part.diameter is not None]
