@@ -60,7 +60,8 @@ def mixer_of(vessel: Vessel) -> Mixer:
         c for part in parts for c, channel in part.channels.items() if channel.role == "steering"
     ]
     turning = [part for part in vessel.propulsors.values() if isinstance(part, AzimuthThruster)]
-    sides = [p for p in vessel.propulsors.values() if isinstance(p, FixedThruster) and float(p.y)]
+    fixed = [part for part in vessel.propulsors.values() if isinstance(part, FixedThruster)]
+    sides = [part for part in fixed if part.differential and float(part.y)]
     if turning:
         if len(vessel.propulsors) > 1:
             raise UserError("--to ardupilot: of vectored thrust ArduPilot has one thruster")

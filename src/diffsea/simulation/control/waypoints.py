@@ -186,7 +186,7 @@ def dynamic_pd(
     aside = [
         part
         for part in vessel.actuators.values()
-        if isinstance(part, FixedThruster) and float(part.y) != 0
+        if isinstance(part, FixedThruster) and part.differential and float(part.y) != 0
     ]
     sides = [part for part in aside if part.y < 0], [part for part in aside if part.y > 0]
     if any(len(side) != 1 for side in sides):

@@ -235,7 +235,7 @@ def add_to(part: Part, where: Callable[[Part], Any], by: Scalar) -> Part:
 
 
 def add_step(vessel: Vessel, sensor: str, at: CoordinateValues) -> Vessel:
-    """The vessel with a sensor of the vessel that is off by a size from a time on."""
+    """The vessel with a sensor that is off by a size from a time on."""
     steps = (*getattr(vessel.sensors, sensor), Step(at[0], at[1]))
     sensors = dataclasses.replace(vessel.sensors, **{sensor: steps})
     return dataclasses.replace(vessel, sensors=sensors)
