@@ -108,14 +108,16 @@ WHAT = {
     "wind": "A steady wind pushes the superstructure; the drag of still air is the hull's already.",
     "wave-force": "A force fixed in the earth swings about a mean: a swell, or a tow.",
     "shallow-water": "The bottom is near: added masses and damping grow.",
-    "heading-offset": "The compass is turned by an angle, always or from some time on.",
+    "heading-offset": "The compass is turned by an angle, always or from some time on, or all that "
+    "is measured in the vessel's axes is.",
     "hard-iron": "The compass is off by an angle that goes round once with the heading, as iron "
     "aboard makes it, or as the current of the motors does. A heading that is estimated from a "
     "compass and a gyro follows the compass slowly, and velocities that a receiver gives over "
     "ground are turned into the vessel's axes by it.",
     "gyro-bias": "The yaw-rate sensor is off by a constant, always or from some time on.",
     "sensor-latency": "Some measured channels arrive late on the clock of the others.",
-    "lever-arm": "Positions are those of an antenna that is not at the reference point.",
+    "lever-arm": "Positions, or positions and velocities, are those of an antenna that is not at "
+    "the reference point.",
     "clock-drift": "Motion and orders were stamped by clocks that differ, perhaps more and more.",
     "feedback-error": "The record of what an actuator executed is off; the actuator is not.",
     "thrust-lag": "Actuators follow their orders with a first-order lag.",
@@ -175,7 +177,13 @@ KEYS = {
         "direction": "towards which a positive force pushes",
     },
     "shallow-water": {"depth": "of the water, from the surface; more than the draught"},
-    "heading-offset": {"angle": "by which the compass reads too high", "time": _STEPPED},
+    "heading-offset": {
+        "angle": "by which the compass reads too high",
+        "time": _STEPPED,
+        "channels": '`["psi", "u", "v"]` where the velocities are turned with the heading: an '
+        "instrument mounted askew, or fixes' velocities turned by a heading that is off; without "
+        "it the heading alone",
+    },
     "hard-iron": {
         "amplitude": "of the error; with `actuators`, at their full thrust",
         "phase": "heading at which the error is zero and grows with the heading",
@@ -191,7 +199,12 @@ KEYS = {
         "channels": "of `x`, `y`, `psi`, `u`, `v`, `r`; `x` with `y`, and `u` with `v`; without it "
         "`x` and `y`",
     },
-    "lever-arm": {"x": "forward of the reference point", "y": "to starboard of it"},
+    "lever-arm": {
+        "x": "forward of the reference point",
+        "y": "to starboard of it",
+        "channels": '`["x", "y", "u", "v"]` where velocities are the antenna\'s own, too; without '
+        "it positions alone",
+    },
     "clock-drift": {
         "rate": "s by which motion lags further behind the orders in each s",
         "offset": "by which motion lags behind the orders at zero on the clock",

@@ -263,7 +263,10 @@ _UNITS |= dict.fromkeys(("x_G", "length", "beam", "draught"), "m")
 _UNITS |= {"X_udot": "kg", "Y_vdot": "kg", "Y_rdot": "kg m", "N_vdot": "kg m", "N_rdot": "kg m^2"}
 # Of actuators, sensors and surroundings, by the last part of the name.
 _UNITS_OF_PARTS: dict[str, str] = dict.fromkeys(
-    ("x", "y", "x_H", "l_R", "hull_lever", "height", "diameter", "lever_x", "lever_y"), "m"
+    ("x", "y", "x_H", "l_R", "hull_lever", "height", "diameter"), "m"
+)
+_UNITS_OF_PARTS |= dict.fromkeys(
+    ("lever_x", "lever_y", "velocity_lever_x", "velocity_lever_y"), "m"
 )
 _UNITS_OF_PARTS |= dict.fromkeys(("area", "frontal_area", "lateral_area"), "m^2")
 _UNITS_OF_PARTS |= dict.fromkeys(("time_constant", "delay", "payload_time"), "s")
@@ -271,7 +274,7 @@ _UNITS_OF_PARTS |= {
     f"latency_{channel}": "s" for channel in ("position", "heading", "velocity", "yaw_rate")
 }
 _UNITS_OF_PARTS |= dict.fromkeys(
-    ("angle", "heading_offset", "hard_iron_cos", "hard_iron_sin", "heel"), "rad"
+    ("angle", "heading_offset", "axes_offset", "hard_iron_cos", "hard_iron_sin", "heel"), "rad"
 )
 _UNITS_OF_PARTS |= dict.fromkeys(("fading_speed", "reference_speed"), "m/s")
 _UNITS_OF_PARTS |= {f"{of}_{to}": "m/s" for of in ("current", "wind") for to in ("north", "east")}

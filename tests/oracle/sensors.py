@@ -1,11 +1,13 @@
 """What a logger would have recorded: sensor effects, rates, noise, resolution, gusts, CSV.
 
 Sensor effects, in this order:
-    lever-arm (x, y)     position of the antenna: p + R(psi) (x, y)
+    lever-arm (x, y)     position of the antenna: p + R(psi) (x, y); with u among its channels its
+                         velocity, too: u - y r, v + x r
     clock-drift          the channels stamped t show the state at t - (offset + rate t); empty
                          where that is outside the run; orders keep their stamps
     sensor-latency       channels (default x, y) show the value `delay` before that
-    heading-offset       psi + angle;   hard-iron  psi + amplitude sin(psi - phase)
+    heading-offset       psi + angle; with u among its channels (u, v) in axes so turned, too
+    hard-iron            psi + amplitude sin(psi - phase)
     gyro-bias            r + bias; it and heading-offset after `time` alone, where that is given
 Then noise, quantisation (rounding to multiples of a step) and decimation, per channel.
 """
@@ -96,6 +98,10 @@ def true_channels(sim, times) -> dict[str, np.ndarray]:
         acts = t > effect.get("time", -math.inf)
         if effect["name"] == "heading-offset":
             out["psi"] = out["psi"] + effect["angle"] * acts
+            if "u" in effect.get("channels", ()):
+                # A velocity is the same arrow, its components those in axes turned clockwise.
+                arrow = (out["u"] + 1j * out["v"]) * np.exp(-1j * effect["angle"])
+                out["u"], out["v"] = arrow.real, arrow.imag
         elif effect["name"] == "hard-iron":
             out["psi"] = out["psi"] + effect["amplitude"] * np.sin(out["psi"] - effect["phase"])
         elif effect["name"] == "gyro-bias":
@@ -117,6 +123,9 @@ def place(out: dict, effects: list[dict]) -> dict:
             c, s = np.cos(out["psi"]), np.sin(out["psi"])
             out["x"] = out["x"] + c * effect["x"] - s * effect["y"]
             out["y"] = out["y"] + s * effect["x"] + c * effect["y"]
+            if "u" in effect.get("channels", ()):
+                out["u"] = out["u"] - effect["y"] * out["r"]
+                out["v"] = out["v"] + effect["x"] * out["r"]
     return out
 
 

@@ -13,6 +13,8 @@ from diffsea.simulation.actuation import (
     with_common_feedback,
 )
 from diffsea.simulation.replay import prediction_misses, replay_errors
+from diffsea.simulation.sensed_motion import shown_motion, true_motion
+from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 from diffsea.vessel.sensors import Clock, Step
 
@@ -222,6 +224,27 @@ def test_an_antenna_says_nothing_of_velocities_where_there_are_no_positions():
     vessel = dataclasses.replace(boat(), sensors=Sensors(lever_x=2.0, lever_y=1.0))
     predicted = replay(vessel, run)
     assert predicted.v[0] == 0.0 and predicted.u[0] == run.u[0]
+
+
+def test_velocities_of_an_antenna_askew_are_put_right_and_shown_again():
+    """A boat that circles at 1.2 m/s without drift, seen from 2 m ahead and 1 m to starboard."""
+    t, speed, rate, turned, (x, y) = np.arange(0.0, 60.0, 0.1), 1.2, 0.3, 0.2, (2.0, 1.0)
+    arrow = (speed - rate * y + 1j * rate * x) * np.exp(-1j * turned)
+    sensors = Sensors(axes_offset=turned, velocity_lever_x=x, velocity_lever_y=y)
+    psi, none = 0.4 + rate * t, np.zeros_like(t)
+    track = speed / rate * np.sin(psi), -speed / rate * np.cos(psi)
+    seen = dataclasses.replace(
+        straight(t), x=track[0], y=track[1], psi=psi + turned, u=none + arrow.real,
+        v=none + arrow.imag, r=none + rate,
+    )  # fmt: skip
+    for run in (seen, missing(seen, "r")):
+        true, _ = true_motion(sensors, run, {})
+        expected = {"psi": psi, "u": none + speed, "v": none, "r": none + rate}
+        for channel, values in expected.items():
+            np.testing.assert_allclose(true[channel][5:-5], values[5:-5], atol=1e-3)
+        shown = shown_motion(sensors, t, true, {})
+        for channel in MOTION_CHANNELS:
+            np.testing.assert_allclose(shown[channel], seen.motion[channel], atol=1e-2)
 
 
 def test_late_samples_are_continued_back_to_the_start():

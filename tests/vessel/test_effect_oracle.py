@@ -301,6 +301,7 @@ def test_payloads_add_up():
 # The library shows a late channel by its Taylor polynomial of second order, so lags are short.
 SENSORS = [
     ("heading-offset", {"angle": 0.07}),
+    ("heading-offset", {"angle": 0.07, "channels": ["psi", "u", "v"]}),
     ("hard-iron", {"amplitude": 0.1, "phase": 0.8}),
     ("gyro-bias", {"bias": -0.02}),
     ("heading-offset", {"angle": 0.07, "time": 3.0}),
@@ -308,6 +309,7 @@ SENSORS = [
     ("sensor-latency", {"delay": 0.02}),
     ("sensor-latency", {"delay": 0.02, "channels": ["psi", "r", "u", "v"]}),
     ("lever-arm", {"x": 1.3, "y": -0.4}),
+    ("lever-arm", {"x": 1.3, "y": -0.4, "channels": ["x", "y", "u", "v"]}),
     ("clock-drift", {"offset": 0.02, "rate": 0.001}),
     ("clock-drift", {"offset": -0.02, "rate": -0.001}),
 ]

@@ -34,10 +34,10 @@ def shown_motion(
     late = {c: _extrapolate(t - np.asarray(lags[c]), t, true[c]) for c in MOTION_CHANNELS}
     north, east = to_earth(sensors.lever_x, sensors.lever_y, late["psi"])
     steps = _sensor_steps(sensors, t)
-    psi, turned = late["psi"] + _compass_error(sensors, late["psi"]), np.zeros_like(t)
+    psi, turned = np.asarray(sensors.shown_heading(late["psi"])), np.zeros_like(t)
     for _ in range(_COMPASS_ITERATIONS):  # an estimator's deviation depends on what it shows
         turned = _deviation(sensors, t, psi + turned, shares)
-    u, v = to_body(late["u"], late["v"], turned)
+    u, v = to_body(*sensors.shown_velocities(late["u"], late["v"], late["r"]), turned)
     return {
         "x": late["x"] + np.asarray(north),
         "y": late["y"] + np.asarray(east),
@@ -59,7 +59,7 @@ def true_motion(
     derived, notes = [c for c in ("psi", "u", "v", "r") if not run.has(c)], ()
     turned = _shown_deviation(sensors, run, shares)
     true = {c: _true_channel(sensors, run, c, turned) for c in MOTION_CHANNELS}
-    u, v = to_body(true["u"], true["v"], -turned)
+    u, v = to_body(true["u"], true["v"], -turned - sensors.axes_offset)
     if run.has("u") and run.has("v"):
         true |= {"u": np.asarray(u), "v": np.asarray(v)}
     if not (run.has("psi") or run.has("r")):
@@ -83,6 +83,9 @@ def true_motion(
     if run.has("x") and run.has("y"):
         at_antenna = {"u": true["u"] + y * true["r"], "v": true["v"] - x * true["r"]}
         true |= {c: at_antenna[c] for c in derived if c in at_antenna}
+    x, y = float(sensors.velocity_lever_x), float(sensors.velocity_lever_y)
+    at_sensor = {"u": true["u"] + y * true["r"], "v": true["v"] - x * true["r"]}
+    true |= {c: at_sensor[c] for c in at_sensor if c not in derived}
     return true, notes
 
 
@@ -123,7 +126,7 @@ def _true_channel(sensors: Sensors, run: Trajectory, channel: str, turned: Sampl
         return shown - float(sensors.gyro_bias) if channel == "r" else shown
     psi = shown = shown - turned
     for _ in range(_COMPASS_ITERATIONS):  # the compass error depends on the heading itself
-        psi = shown - _compass_error(sensors, psi)
+        psi = psi + shown - np.asarray(sensors.shown_heading(psi))
     return psi
 
 
@@ -138,13 +141,6 @@ def _where_sampled(sensors: Sensors, run: Trajectory, channel: str, true: Sample
     found = np.full_like(run.t, np.nan)
     found[rows] = true[rows]
     return found
-
-
-def _compass_error(sensors: Sensors, psi: Samples) -> Samples:
-    """Shown minus true heading (rad)."""
-    turned = psi + float(sensors.heading_offset)
-    iron = float(sensors.hard_iron_cos) * np.cos(turned)
-    return turned - psi + iron + float(sensors.hard_iron_sin) * np.sin(turned)
 
 
 def _sensor_steps(sensors: Sensors, t: Samples) -> dict[str, Samples]:

@@ -5,13 +5,15 @@ from collections.abc import Mapping
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from diffsea.kinematics import to_earth
+from diffsea.kinematics import to_body, to_earth
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Scalar, State
 
 
+Values = Scalar | Float[Array, "*row"] | Float[np.ndarray, "*row"]
 SHORTEST_INTERVAL = 1e-6  # s, between readings: where a run begins there is none before
 
 
@@ -106,6 +108,7 @@ class Sensors(eqx.Module):
     """
 
     heading_offset: Scalar = 0.0  # rad, measured minus true
+    axes_offset: Scalar = 0.0  # rad, of heading and of the axes of u and v, measured minus true
     hard_iron_cos: Scalar = 0.0  # rad, compass error A cos(psi) + B sin(psi)
     hard_iron_sin: Scalar = 0.0
     gyro_bias: Scalar = 0.0  # rad/s, measured minus true
@@ -114,6 +117,8 @@ class Sensors(eqx.Module):
     estimated_headings: tuple[EstimatedHeading, ...] = ()  # their deviations add up
     lever_x: Scalar = 0.0  # m, antenna forward of amidships
     lever_y: Scalar = 0.0  # m, antenna to starboard
+    velocity_lever_x: Scalar = 0.0  # m, forward of amidships: where u and v are measured
+    velocity_lever_y: Scalar = 0.0  # m, to starboard
     latency_position: Scalar = 0.0  # s
     latency_heading: Scalar = 0.0
     latency_velocity: Scalar = 0.0
@@ -181,7 +186,18 @@ class Sensors(eqx.Module):
         heading with its offset.
         """
         north, east = to_earth(self.lever_x, self.lever_y, past["psi"])
-        psi = past["psi"] + self.heading_offset
-        psi = psi + self.hard_iron_cos * jnp.cos(psi) + self.hard_iron_sin * jnp.sin(psi)
+        psi = self.shown_heading(past["psi"])
+        u, v = self.shown_velocities(past["u"], past["v"], past["r"])
         x, y, r = past["x"] + north, past["y"] + east, past["r"] + self.gyro_bias
-        return jnp.stack([x, y, psi, past["u"], past["v"], r])
+        return jnp.stack([x, y, psi, u, v, r])
+
+    def shown_heading(self, psi: Values) -> Values:
+        """The heading (rad) that a compass shows, its axes turned and with its deviation."""
+        turned = psi + self.heading_offset + self.axes_offset
+        iron = self.hard_iron_cos * jnp.cos(turned) + self.hard_iron_sin * jnp.sin(turned)
+        return turned + iron
+
+    def shown_velocities(self, u: Values, v: Values, r: Values) -> tuple[Values, Values]:
+        """u and v (m/s) where and in whose axes they are measured, at a yaw rate r (rad/s)."""
+        u, v = u - r * self.velocity_lever_y, v + r * self.velocity_lever_x
+        return to_body(u, v, self.axes_offset)

@@ -24,12 +24,38 @@ from diffsea.vessel.effects.entry import (
     entry,
     read_from_an_instant,
     read_names,
+    read_table,
 )
 from diffsea.vessel.sensors import EstimatedHeading
-from diffsea.vessel.tables import Table, check_keys, numbers
+from diffsea.vessel.tables import Table, check_keys, needed, numbers
 
 
 _compass_effect = functools.partial(entry, "sensor")
+TURNED = ("psi", "u", "v")  # channels that a heading turns in whose axes velocities are given
+
+
+def _turns_velocities(table: Table, where: str) -> bool | None:
+    """Whether a table's `channels` are turned with the heading; None where it names none."""
+    channels = read_names(table, "channels", where, ' such as ["psi", "u", "v"]')
+    if channels is None:
+        return None
+    if set(channels) not in ({"psi"}, set(TURNED)):
+        raise UserError(
+            f'{where}: channels are ["psi"], or ["psi", "u", "v"] where velocities are turned '
+            "with the heading"
+        )
+    return set(channels) == set(TURNED)
+
+
+def _read_offset(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
+    """An offset of the compass, from a `time` on where there is one, or of the axes."""
+    constant, stepped, axes = variants
+    turns = _turns_velocities(table, where)
+    table = {key: value for key, value in table.items() if key != "channels"}
+    if not turns:
+        return read_from_an_instant(vessel, table, (constant, stepped), where)
+    needed(table, "angle", where)
+    return read_table(vessel, table, [axes], where)
 
 
 @_compass_effect(
@@ -37,7 +63,7 @@ _compass_effect = functools.partial(entry, "sensor")
     Size("angle", "rad", 0.05),
     phrase="a compass that reads {angle:size} too {angle:high|low}",
     confusables=("current", "thruster-misalignment", "hard-iron", "actuator-bias"),
-    read=read_from_an_instant,
+    read=_read_offset,
 )
 def heading_offset(vessel: Vessel, angle: CoordinateValues) -> Vessel:
     """psi_m = psi + angle."""
@@ -54,6 +80,21 @@ def heading_offset(vessel: Vessel, angle: CoordinateValues) -> Vessel:
 def heading_step(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """psi_m = psi, and psi + angle from `time` on: a compass that was turned or reset."""
     return add_step(vessel, "heading_steps", at)
+
+
+@_compass_effect(
+    "heading-offset:axes",
+    Size("angle", "rad", 0.05),
+    phrase="a heading that reads {angle:size} too {angle:high|low}, the velocities turned with it",
+    confusables=("current", "wind", "thruster-misalignment", "actuator-bias"),
+    place=MeasuredChannels(TURNED),
+    read=_read_offset,
+)
+def axes_offset(vessel: Vessel, angle: CoordinateValues) -> Vessel:
+    """psi_m = psi + angle, and (u, v) in axes that are turned by it: an instrument mounted askew,
+    or velocities of fixes in the axes of a heading that is off.
+    """
+    return add_to(vessel, lambda v: v.sensors.axes_offset, angle[0])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +129,6 @@ _DEVIATION = tuple(
     Size(part, "rad", 0.05, (-LARGEST_DEVIATION, LARGEST_DEVIATION)) for part in ("cosine", "sine")
 )
 _AMPLITUDE_AND_PHASE = {"amplitude": "rad", "phase": "rad"}
-_TURNED = ("psi", "u", "v")
 
 
 def _amplitude_and_phase(vessel: Vessel, at: CoordinateValues) -> Numbers:
@@ -112,9 +152,7 @@ def _read_deviation(vessel: Vessel, table: Table, variants: Sequence[Effect], wh
         raise UserError(f"{where} states no number; its keys are amplitude, phase, time_constant")
     if values.get("time_constant", 0.0) < 0:
         raise UserError(f"{where}: time_constant = {values['time_constant']:g} s is negative")
-    channels = read_names(table, "channels", where, ' such as ["psi", "u", "v"]')
-    if channels is not None and set(channels) not in ({"psi"}, set(_TURNED)):
-        raise UserError(f'{where}: channels are ["psi"], or ["psi", "u", "v"] of an estimator')
+    turns = _turns_velocities(table, where)
     cosine, sine = map(np.asarray, _deviation_coordinates(vessel, values))
     motors = ()
     if "actuators" in table:
@@ -123,9 +161,9 @@ def _read_deviation(vessel: Vessel, table: Table, variants: Sequence[Effect], wh
             if channel not in vessel.thrusts_at_rest:
                 raise UserError(f"{where}: {channel} is no motor: it has no thrust of its own")
     is_compass = not motors and "time_constant" not in values
-    if is_compass and set(channels or ["psi"]) == {"psi"}:
+    if is_compass and not turns:
         return variants[0].apply(vessel, np.stack([cosine, sine]))
-    if channels is not None and set(channels) == {"psi"}:
+    if turns is False:
         raise UserError(
             f"{where}: an estimator's heading, of which time_constant and actuators speak, turns "
             'the velocities with it: channels = ["psi", "u", "v"], or leave them out'
@@ -186,7 +224,7 @@ def hard_iron(vessel: Vessel, at: CoordinateValues) -> Vessel:
     confusables=("current", "heading-offset", "wind"),
     possible=lambda vessel: bool(_motors(vessel)),
     parametrisation=_OF_ESTIMATE,
-    place=MeasuredChannels(_TURNED),
+    place=MeasuredChannels(TURNED),
     nearly=True,
     read=_read_deviation,
 )
@@ -206,7 +244,7 @@ def hard_iron_estimated(vessel: Vessel, at: CoordinateValues) -> Vessel:
     confusables=("current", "heading-offset", "gyro-bias"),
     possible=lambda vessel: bool(_motors(vessel)),
     parametrisation=_OF_ESTIMATE,
-    place=TurnedByMotors(_TURNED),
+    place=TurnedByMotors(TURNED),
     nearly=True,
     read=_read_deviation,
 )
@@ -220,4 +258,11 @@ def hard_iron_of_motors(vessel: Vessel, at: CoordinateValues) -> Vessel:
     )
 
 
-COMPASS = (heading_offset, heading_step, hard_iron, hard_iron_estimated, hard_iron_of_motors)
+COMPASS = (
+    heading_offset,
+    heading_step,
+    axes_offset,
+    hard_iron,
+    hard_iron_estimated,
+    hard_iron_of_motors,
+)

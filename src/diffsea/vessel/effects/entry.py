@@ -27,7 +27,7 @@ from diffsea.vessel.effects.coordinates import (
 )
 from diffsea.vessel.forces import AbstractForce
 from diffsea.vessel.sensors import Step
-from diffsea.vessel.tables import Table, check_keys, numbers
+from diffsea.vessel.tables import Table, check_keys, needed, numbers
 
 
 CoordinateValues = Float[Array, "coordinate"] | Float[np.ndarray, "coordinate"]
@@ -288,6 +288,7 @@ def read_from_an_instant(
 ) -> Vessel:
     """An error of all the run, or from the `time` on that a table states."""
     constant, stepped = variants
+    needed(table, constant.stated_key, where)
     chosen = stepped if "time" in table else constant
     return read_table(vessel, table, [chosen], where, others=("time",))
 

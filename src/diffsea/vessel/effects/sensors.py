@@ -19,6 +19,7 @@ from diffsea.vessel.effects.entry import (
     entry,
     read_from_an_instant,
     read_names,
+    read_table,
 )
 from diffsea.vessel.sensors import Clock
 from diffsea.vessel.tables import Table, check_keys, needed
@@ -115,17 +116,51 @@ def _lever(axis: str) -> Size:
     )
 
 
+def _read_lever(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
+    """The arm of positions, or of the velocities that a table names among its `channels`, too."""
+    channels = read_names(table, "channels", where, ' such as ["x", "y"]')
+    of_positions, of_antenna = variants
+    known = {frozenset(of_antenna.place.in_file(vessel)["channels"]): of_antenna}
+    known |= {frozenset(("x", "y")): of_positions}
+    if frozenset(channels or ("x", "y")) not in known:
+        raise UserError(
+            f'{where}: channels are ["x", "y"], or ["x", "y", "u", "v"] of an antenna whose '
+            "velocities are its own"
+        )
+    table = {key: value for key, value in table.items() if key != "channels"}
+    return read_table(vessel, table, [known[frozenset(channels or ("x", "y"))]], where)
+
+
 @_sensor_effect(
     "lever-arm",
     _lever("x"),
     _lever("y"),
     phrase="a sensor {x} forward and {y} to starboard of the reference point",
     confusables=("sensor-latency", "current", "clock-drift"),
+    read=_read_lever,
 )
 def lever_arm(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """p_m = p + R(psi) (x, y): positions of an antenna off the reference point."""
     vessel = add_to(vessel, lambda v: v.sensors.lever_x, at[0])
     return add_to(vessel, lambda v: v.sensors.lever_y, at[1])
+
+
+@_sensor_effect(
+    "lever-arm:antenna",
+    _lever("x"),
+    _lever("y"),
+    phrase="an antenna {x} forward and {y} to starboard of the reference point, positions and "
+    "velocities its own",
+    confusables=("sway-yaw-coupling", "sensor-latency", "current"),
+    place=MeasuredChannels(("x", "y", "u", "v")),
+    read=_read_lever,
+)
+def lever_arm_of_antenna(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """p_m = p + R(psi) (x, y), u_m = u - y r, v_m = v + x r: the motion of an antenna, whose
+    velocities were turned into the vessel's axes and not moved to its reference point.
+    """
+    vessel = add_to(lever_arm.apply(vessel, at), lambda v: v.sensors.velocity_lever_x, at[0])
+    return add_to(vessel, lambda v: v.sensors.velocity_lever_y, at[1])
 
 
 @_sensor_effect(
@@ -158,5 +193,6 @@ SENSORS = (
         mirror="position",
     ),
     lever_arm,
+    lever_arm_of_antenna,
     clock_drift,
 )
