@@ -133,7 +133,8 @@ WHAT = {
     "thruster-misalignment": "The fixed thrusters do not push where the file says.",
     "thrust-loss-with-speed": "Thrust falls with speed through the water.",
     "thrust-loss-in-turns": "Thrust falls with the yaw rate, as by ventilation or shadowing.",
-    "thrust-change": "From some time on all thrusts are another share of what they were.",
+    "thrust-change": "From some time on all thrusts, or those on one side, are another share of "
+    "what they were.",
     "thrust-curve": "Thrust depends on the order otherwise than the file says: by a dead band, an "
     "exponent, a weaker astern, a limit; perhaps by its scale and a loss with speed, too.",
     "propeller-side-force": "A turning screw pushes the stern sideways.",
@@ -240,7 +241,11 @@ KEYS = {
     "thruster-misalignment": {"angle": "by which the thrust is turned, clockwise from above"},
     "thrust-loss-with-speed": {"slope": "share of the thrust that is lost for each m/s"},
     "thrust-loss-in-turns": {"slope": "share of the thrust that is lost for each rad/s"},
-    "thrust-change": {"factor": "relative change: -0.2 is a fifth less", "time": _TIME},
+    "thrust-change": {
+        "factor": "relative change: -0.2 is a fifth less",
+        "time": _TIME,
+        "actuators": _ALL,
+    },
     "thrust-curve": {
         "deadband": "orders up to it do nothing",
         "exponent": "of the order; without it 1",
@@ -311,7 +316,8 @@ VESSELS = {
     "thrust-loss-with-speed": "those with a thruster that is no `[[propeller]]` and has no `curve` "
     "of the shaft speed: with these thrust falls with speed already.",
     "thrust-loss-in-turns": "those with a thruster or propeller.",
-    "thrust-change": "those with a thruster or propeller.",
+    "thrust-change": "those with a thruster or propeller; on one side, those with some on both. "
+    "Refused where none of the actuators drives the vessel ahead.",
     "thrust-curve": "those with a thruster or propeller; `thrust-curve:law` as "
     "`thrust-loss-with-speed`. Refused where none of the actuators drives the vessel ahead.",
     "propeller-side-force": "those with one `[[propeller]]`; refused without any.",

@@ -86,6 +86,20 @@ def estimate(at, information, deviance=0.0, parameters=(A, B), coloured=None) ->
     return posterior_estimate(names, np.array(at), deviance, index, spreads, information, coloured)
 
 
+def test_what_rounding_makes_of_an_information_is_not_taken_over():
+    """One direction is known a million million times better, and the two halves do not agree."""
+    direction = np.array([1.0, 1.0]) / math.sqrt(2)
+    best, noise = 1e12 * np.outer(direction, direction), np.array([[-3.0, 2.0], [-2.0, -3.0]])
+    fitted = estimate((0.0, 0.0), best + noise)
+    np.linalg.cholesky(fitted.covariance)
+    assert np.array_equal(fitted.covariance, fitted.covariance.T)
+    across = np.array([1.0, -1.0]) / math.sqrt(2)
+    prior = 1 / (across**2 @ np.array([1 / A.spread**2, 1 / B.spread**2]))
+    assert across @ fitted.covariance @ across == pytest.approx(prior, rel=0.01)
+    exact = estimate((0.0, 0.0), best)
+    np.testing.assert_allclose(fitted.covariance, exact.covariance, rtol=1e-2)
+
+
 def test_the_profile_of_a_parabola_is_the_interval_of_its_standard_error():
     H = np.array([[40.0, 12.0], [12.0, 30.0]])
     prior = np.diag([1 / A.spread**2, 1 / B.spread**2])

@@ -19,7 +19,7 @@ munk-moment           N += size u_r v_r, the size named "Y_vdot - X_udot"
 roll-coupling         Y += Y_phi phi, N += N_phi phi, phi(t) given to the simulator as `heel`
 drag-change           derivative damping and cross-flow drag x (1 + factor) from `time`
 mass-change           mass more at amidships from `time`, the velocity unbroken
-thrust-change         forces of thrusters and propellers x (1 + factor) from `time`
+thrust-change         forces of thrusters and propellers, or of some, x (1 + factor) from `time`
 thrust-lag, thrust-delay, deadband, backlash, actuator-bias: added to the channel's own
 actuator-response     thrust-delay, thrust-lag, rate-limit, as far as its keys are given
 rate-limit, thrust-saturation: the lower of effect and channel holds
@@ -94,7 +94,7 @@ class Model:
     late_forces: list = field(default_factory=list)  # time from which it acts, such a force
     sensors: list[dict] = field(default_factory=list)
     drag_steps: list[tuple[float, float]] = field(default_factory=list)  # time, factor
-    thrust_steps: list[tuple[float, float]] = field(default_factory=list)
+    thrust_steps: list[tuple[float, float, list[str] | None]] = field(default_factory=list)
     mass_steps: list[tuple[float, float]] = field(default_factory=list)  # time, kg more
     crossflow: float = 0.0  # cd
     shallow: float = 0.0  # draught / depth
@@ -153,9 +153,11 @@ def apply(model: Model, data: dict[str, list[dict]], effect: dict) -> None:
         model.forces.append(munk_moment(values["Y_vdot - X_udot"]))
     elif name == "roll-coupling":
         model.forces.append(roll_force(model, values.get("Y_phi", 0.0), values.get("N_phi", 0.0)))
-    elif name in ("drag-change", "thrust-change"):
-        steps = model.drag_steps if name == "drag-change" else model.thrust_steps
-        steps.append((values["time"], 1.0 + values["factor"]))
+    elif name == "drag-change":
+        model.drag_steps.append((values["time"], 1.0 + values["factor"]))
+    elif name == "thrust-change":
+        changed = values["time"], 1.0 + values["factor"], values.get("actuators")
+        model.thrust_steps.append(changed)
     elif name == "mass-change":
         model.mass_steps.append((values["time"], values["mass"]))
     elif name in SENSORS:

@@ -95,14 +95,14 @@ class Simulator:
 
     # forces
 
-    def forces(self, t, psi, u, v, r, segments, drag=1.0, thrust=1.0, late=()):
+    def forces(self, t, psi, u, v, r, segments, drag=1.0, thrust=None, late=()):
         """(X, Y, N) of everything but inertia; u, v relative to the water."""
         X, Y, N = (drag * f for f in hull_drag(self.model, self.terms, u, v, r))
         actuators = list(zip(self.model.actuators, segments, strict=True))
         realised = {actuator.name: segment(t) for actuator, segment in actuators}
         for actuator, _ in actuators:
             a, b, c = actuator.push(realised[actuator.name], u, r, v, realised)
-            k = 1.0 if isinstance(actuator, Rudder) else thrust
+            k = (thrust or {}).get(actuator.name, 1.0)
             X, Y, N = X + k * a, Y + k * b, N + k * c
         acting = [(1.0, force) for force in self.model.forces]
         acting += [(k, force) for k, (_, force) in zip(late, self.model.late_forces, strict=False)]
@@ -112,7 +112,7 @@ class Simulator:
             X, Y, N = X + share * a, Y + share * b, N + share * c
         return X, Y, N
 
-    def rate(self, t, s, segments, drag=1.0, thrust=1.0, M=None, late=()):
+    def rate(self, t, s, segments, drag=1.0, thrust=None, M=None, late=()):
         """Time derivative of the state."""
         M = M or self.M
         _, _, psi, u, v, r = (float(q) for q in s)
@@ -144,7 +144,7 @@ class Simulator:
         model = self.model
         times = [a.next_break(self.t, MARGIN) for a in model.actuators]
         steps = model.drag_steps + model.thrust_steps + model.mass_steps + model.late_forces
-        times += [t for t, _ in steps if t > self.t + MARGIN]
+        times += [step[0] for step in steps if step[0] > self.t + MARGIN]
         return min([until, *times])
 
     def piece(self, end: float):
@@ -159,7 +159,7 @@ class Simulator:
         return rate, lambda t, s: self.kinks(t, s, segments)
 
     def changed(self, t):
-        """Factors of drag and thrust, inertia and shares of late forces after changes up to t."""
+        """Factor of drag, those of thrusts, inertia, shares of late forces, as they are at t."""
         model = self.model
 
         def factor(steps):
@@ -167,7 +167,14 @@ class Simulator:
 
         aboard = sum(m * self.share(t, when) for when, m in model.mass_steps)
         late = [self.share(t, when) for when, _ in model.late_forces]
-        return factor(model.drag_steps), factor(model.thrust_steps), H.loaded(self.M, aboard), late
+        thrust = {
+            a.name: factor(
+                (w, f) for w, f, names in model.thrust_steps if a.name in (names or [a.name])
+            )
+            for a in model.actuators
+            if not isinstance(a, Rudder)
+        }
+        return factor(model.drag_steps), thrust, H.loaded(self.M, aboard), late
 
     def share(self, t, when):
         """How much of a change at `when` there is at t, from 0 to 1."""

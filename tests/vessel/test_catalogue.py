@@ -27,6 +27,7 @@ from diffsea.identification.estimates import (
     parameter_records,
     parameters_with_errors,
 )
+from diffsea.vessel.effects.actuators import largest_order
 from diffsea.vessel.effects.environment import superstructure
 from diffsea.vessel.files import build, dump, updated_document
 
@@ -785,6 +786,36 @@ def test_what_a_fit_puts_just_beyond_the_possible_is_read_back_at_its_end(name):
             build(file.document | {"effect": [table]})
             beyond.append((effect.name, one.key))
     assert beyond, name
+
+
+@pytest.mark.parametrize("name", ["usv", "otter", "blueboat", "shioji_maru"])
+def test_what_a_fit_found_acts_as_the_table_that_is_written_of_it(name):
+    file = read_vessel(ORACLE / "usv.toml" if name == "usv" else name)
+    vessel, forces, sensors = file.vessel, 0, 0
+    orders = {c: 0.3 * float(largest_order(vessel, [c])) for c in vessel.channels}
+    motion, rate, after = moving(1.0, 0.1, 0.05), moving(0.1, 0.02, 0.03), 1e4
+
+    def seen(other):
+        steps = np.asarray(other.sensors.steps(np.array([after]), 0.1))[0]
+        shown = np.asarray(other.sensors.measure(motion, rate, moving(0, 0, 0), after))
+        parts = other.breakdown(motion, orders, other.environment, after).values()
+        return np.sum([np.asarray(part.stacked) for part in parts], axis=0), shown + steps
+
+    plain = seen(vessel)
+    for effect in EFFECTS.values():
+        if not effect.possible(vessel):
+            continue
+        at = np.array(effect.sizes(vessel))
+        found = seen(effect.apply(vessel, at))
+        numbers = {k: float(v) for k, v in effect.decode(vessel, at).items()}
+        table = effect_table(vessel, effect.name, {k: {"value": v} for k, v in numbers.items()})
+        tables = [*file.document.get("effect", []), table]
+        written = seen(build(file.document | {"effect": tables}))
+        for mine, other in zip(found, written, strict=True):
+            np.testing.assert_allclose(mine, other, rtol=1e-9, atol=1e-9, err_msg=effect.name)
+        forces += not np.allclose(found[0], plain[0], rtol=1e-6)
+        sensors += not np.allclose(found[1], plain[1], rtol=1e-6)
+    assert forces > 8 and sensors > 8
 
 
 def test_wind_is_fossens_law_of_the_angle_of_attack():

@@ -129,6 +129,7 @@ CASES = [
     ("twin", "thrust-loss-in-turns", {"slope": 0.5}),
     ("twin", "thrust-change", {"time": 4.2, "factor": -0.35}),
     ("ship", "thrust-change", {"time": 12.0, "factor": -0.35}),
+    ("twin", "thrust-change", {"time": 4.2, "factor": -0.35, "actuators": ["starboard"]}),
     ("screw alone", "propeller-side-force", {"Y_ahead": 0.06, "N_ahead": -0.03, "Y_astern": 0.2,
                                              "N_astern": -0.12}),
     ("ship without interaction", "rudder-interaction", {"a_H": 0.3, "x_H": -3.2, "gamma_R": 0.5}),

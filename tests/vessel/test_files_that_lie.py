@@ -108,6 +108,36 @@ def test_fits_refuse_such_a_number_at_once(tmp_path):
             {"effect": [{"name": "sensor-latency", "delay": 0.1, "channels": ["x", "z"]}]},
             "channels are among",
         ),
+        (
+            {"effect": [{"name": "heading-offset", "angle": 0.1, "channels": ["psi", "r"]}]},
+            "where velocities are turned with the heading",
+        ),
+        (
+            {"effect": [{"name": "heading-offset", "channels": ["psi", "u", "v"]}]},
+            "angle is missing",
+        ),
+        (
+            {
+                "effect": [
+                    {
+                        "name": "heading-offset",
+                        "angle": 0.1,
+                        "time": 2.0,
+                        "channels": ["psi", "u", "v"],
+                    }
+                ]
+            },
+            "unknown key",
+        ),
+        ({"effect": [{"name": "gyro-bias", "time": 2.0}]}, "bias is missing"),
+        (
+            {"effect": [{"name": "lever-arm", "x": 1.0, "channels": ["u", "v"]}]},
+            "of an antenna whose velocities are its own",
+        ),
+        (
+            {"effect": [{"name": "thrust-change", "time": 2.0, "actuators": ["screw"]}]},
+            "factor is missing",
+        ),
     ],
 )
 def test_what_would_mean_something_else_is_refused(parts, message):

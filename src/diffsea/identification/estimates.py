@@ -138,10 +138,13 @@ def posterior_estimate(
     """An estimate from the information of the data and the spreads of the priors.
 
     `score_variance` is that of the score where misfits are not white (the middle of the
-    sandwich): each standard error is the larger of the two.
+    sandwich): each standard error is the larger of the two. What rounding makes of an information
+    that is far less in some directions than in others, asymmetric or negative, is not taken over.
     """
+    information = _nearest_information(information, spreads[index])
     precision = information + np.diag(1 / spreads[index] ** 2)
     plain = np.linalg.inv(precision)
+    plain = (plain + plain.T) / 2
     ratio = np.ones(len(index))
     if score_variance is not None:
         middle = score_variance + np.diag(1 / spreads[index] ** 2)
@@ -162,6 +165,20 @@ def posterior_estimate(
         outcome=outcome,
         left_out=left_out,
     )
+
+
+def _nearest_information(
+    information: Float[np.ndarray, "free free"], spreads: Float[np.ndarray, "free"]
+) -> Float[np.ndarray, "free free"]:
+    """The nearest matrix that is an information, in units of the priors' spreads."""
+    units = np.outer(spreads, spreads)
+    scaled = (information + information.T) / 2 * units
+    if not np.isfinite(scaled).all():
+        return information
+    values, vectors = np.linalg.eigh(scaled)
+    if values.min(initial=0.0) >= 0:
+        return scaled / units
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T / units
 
 
 def is_at_bound(

@@ -26,6 +26,9 @@ class Force(eqx.Module):
     def __sub__(self, other: "Force") -> "Force":
         return Force(self.X - other.X, self.Y - other.Y, self.N - other.N)
 
+    def __mul__(self, factor: Scalar) -> "Force":
+        return Force(self.X * factor, self.Y * factor, self.N * factor)
+
     @classmethod
     def of_thrust(cls, thrust: Scalar, x: Scalar, y: Scalar, angle: Scalar) -> "Force":
         """A thrust (N) that acts at (x, y) m, `angle` rad clockwise from ahead.

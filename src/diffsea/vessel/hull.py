@@ -190,18 +190,20 @@ class ShallowDamping(AbstractDependentForce):
 
 
 class Change(AbstractDependentForce):
-    """A change of the hull's resistance, or of all thrusts, from one time on."""
+    """A change of the hull's resistance, or of thrusts, from one time on."""
 
     factor: Scalar  # relative: 0.2 is a fifth more
     time: Scalar  # s, on the run's clock
     part: str = eqx.field(static=True)  # "resistance" or "thrust"
+    shares: dict[str, Scalar] | None = None  # that change, of single propulsors; None: all of it
 
     def __call__(
         self, vessel: Vessel, forces: Forces, water: State, environment: Environment, t: Scalar
     ) -> Force:
         changed = vessel.sum_of_part(forces, self.part)
-        share = self.factor * step(t, self.time, vessel.rigid_body.length)
-        return Force(share * changed.X, share * changed.Y, share * changed.N)
+        if self.shares is not None:
+            changed = sum((forces[n] * share for n, share in self.shares.items()), Force())
+        return changed * (self.factor * step(t, self.time, vessel.rigid_body.length))
 
 
 @jax.custom_jvp

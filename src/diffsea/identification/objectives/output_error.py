@@ -269,6 +269,7 @@ class OutputError(AbstractObjective):
         """What the windows' ends and the next ones' first states differ by, in units of both."""
         return np.asarray(shot.end) - state.states[self._joined]
 
+    @np.errstate(over="ignore", invalid="ignore")  # of a trial that diverges
     def state_cost(self, state: ShootingState) -> float:
         """-2 log posterior of parameters and first states, the soft loss for a likelihood."""
         shot = self.shot(state)
@@ -291,6 +292,7 @@ class OutputError(AbstractObjective):
         states = state.states + step[len(index) :].reshape(-1, 6) * state.sigma
         return dataclasses.replace(state, coordinates=coordinates, states=states)
 
+    @np.errstate(over="ignore", invalid="ignore")  # where a profile begins, the vessel may diverge
     def normal_equations(self, state: ShootingState, index: FreeIndex) -> NormalEquations:
         """Normal equations of the free parameters and of all first states."""
         coordinates, states = jnp.asarray(state.coordinates), jnp.asarray(state.states)
@@ -433,9 +435,9 @@ def _bulk_scale(values: Float[np.ndarray, "value"]) -> float:
 
 def soft_square(white: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     """The soft loss: the square of a small misfit, and less than it of a large one."""
-    return 2 * SOFT**2 * (np.sqrt(1 + (white / SOFT) ** 2) - 1)
+    return 2 * SOFT**2 * (np.hypot(1.0, white / SOFT) - 1)
 
 
 def soft_weight(white: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     """Weight of a squared misfit under the soft loss."""
-    return 1 / np.sqrt(1 + (white / SOFT) ** 2)
+    return 1 / np.hypot(1.0, white / SOFT)

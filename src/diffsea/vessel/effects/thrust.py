@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import equinox as eqx
 import jax
@@ -21,6 +21,7 @@ from diffsea.vessel.base import AbstractActuator, AbstractPropulsor, Vessel
 from diffsea.vessel.characteristics import Characteristic, limit_of_loss, loss_of_limit
 from diffsea.vessel.effects.actuators import (
     ORDER_UNIT,
+    SIDES,
     OrderedChannels,
     change_servos,
     chosen_channels,
@@ -35,10 +36,11 @@ from diffsea.vessel.effects.entry import (
     add_force,
     add_to,
     entry,
+    read_table,
 )
 from diffsea.vessel.hull import Change
 from diffsea.vessel.servo import Servo
-from diffsea.vessel.tables import Table, check_keys, numbers
+from diffsea.vessel.tables import Table, check_keys, needed, numbers
 
 
 Actuator = TypeVar("Actuator", bound=AbstractActuator)
@@ -130,20 +132,63 @@ def thrust_loss_in_turns(vessel: Vessel, slope: CoordinateValues) -> Vessel:
     return _add_loss(vessel, "in_turns", lambda part: slope[0])
 
 
+PROPULSION = OrderedChannels("propulsion")
+
+
+def _read_change(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
+    """A change of the thrust of the actuators that a table names, of all where it names none."""
+    if "actuators" not in table:
+        return read_table(vessel, table, variants[:1], where)
+    check_keys(table, ("name", "time", "factor", "actuators"), where)
+    factor, time = needed(table, "factor", where), needed(table, "time", where)
+    channels = chosen_channels(vessel, table, where) & set(PROPULSION.all_on(vessel))
+    chosen = {n: 1.0 for n, part in vessel.propulsors.items() if channels & set(part.servos)}
+    if not chosen:
+        raise UserError(f"{where}: none of its actuators drives the vessel ahead")
+    return add_force(vessel, "thrust-change", Change(factor, time, "thrust", chosen))
+
+
+_CHANGE = Size("factor", "1", 0.1, ALL_LOST_AT_MOST), Onset()
+
+
 @thrust_effect(
     "thrust-change",
-    Size("factor", "1", 0.1, ALL_LOST_AT_MOST),
-    Onset(),
+    *_CHANGE,
     phrase="a thrust that is {factor:%} {factor:larger|smaller} from {time:size} on",
     confusables=("drag-change", "mass-change"),
     possible=lambda vessel: bool(vessel.propulsors),
+    read=_read_change,
 )
 def thrust_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """All thrusts times (1 + factor) from `time` on the run's clock."""
     return add_force(vessel, "thrust-change", Change(at[0], at[1], "thrust"))
 
 
-PROPULSION = OrderedChannels("propulsion")
+def _change_on_side(side: Literal["port", "starboard"]) -> Effect:
+    """A change of the thrust on one side: weed, a damaged propeller, a weak battery."""
+
+    @thrust_effect(
+        f"thrust-change:{side}",
+        *_CHANGE,
+        phrase="a thrust of {actuators} that is {factor:%} {factor:larger|smaller} from "
+        "{time:size} on",
+        confusables=("thrust-asymmetry", "actuator-bias", "gyro-bias"),
+        possible=_has_two_sides,
+        place=OrderedChannels(side),
+        read=_read_change,
+    )
+    def change(vessel: Vessel, at: CoordinateValues) -> Vessel:
+        """The thrusts of one side times (1 + factor) from `time` on the run's clock."""
+        # By `where`: under JAX an actuator's place is not known.
+        shares = {
+            name: jnp.where(jnp.sign(part.y) == SIDES[side], 1.0, 0.0)
+            for name, part in vessel.propulsors.items()
+        }
+        return add_force(vessel, "thrust-change", Change(at[0], at[1], "thrust", shares))
+
+    return change
+
+
 LEAST_EXPONENT = 0.5  # of a thrust curve: less, and a square law grows more slowly than orders
 LEAST_GAIN = 0.1  # of the thrust that a file states: less is another thruster
 LEAST_LOSS = 1e-3  # at the largest order: a limit that takes less is reported as one that takes it
@@ -379,6 +424,7 @@ THRUST = (
     thrust_loss_with_speed,
     thrust_loss_in_turns,
     thrust_change,
+    *(_change_on_side(side) for side in ("port", "starboard")),
     thrust_curve,
     thrust_law,
     propeller_side_force,
