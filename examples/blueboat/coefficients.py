@@ -81,7 +81,7 @@ def coefficients(result: diffsea.FitResult) -> dict[str, dict]:
     inertia = float(result.fitted.vessel.rigid_body.I_z)
     true = make_runs.truth()
     found = {}
-    for row in result.study.rows:
+    for row in rows_of_hull(result):
         name, value, (low, high) = row["name"], row["value"], row["interval"]
         actual = true[name]
         if name == "N_rdot":
@@ -98,7 +98,12 @@ def coefficients(result: diffsea.FitResult) -> dict[str, dict]:
 def shares_of(result: diffsea.FitResult) -> dict[str, float]:
     """Which share of each coefficient the data determine, 0 to 1."""
     return {INERTIA if row["name"] == "N_rdot" else row["name"]: row["determined"]
-            for row in result.study.rows}  # fmt: skip
+            for row in rows_of_hull(result)}  # fmt: skip
+
+
+def rows_of_hull(result: diffsea.FitResult) -> list[dict]:
+    """What was fitted but the motors' lag, of which the boat that made the runs has none."""
+    return [row for row in result.study.rows if not row["name"].endswith(".time_constant")]
 
 
 def judged(result: diffsea.FitResult) -> dict:

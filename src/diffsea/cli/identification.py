@@ -62,6 +62,9 @@ def register(commands: options.Commands) -> None:
     add_option(diagnose, "--bootstrap", "DRAWS", int, draws, default=0)
     budget = "begin no further step of the search after so long; what was found is reported"
     add_option(diagnose, "--minutes", "M", options.positive, budget)
+    sequence = "the recordings, then those of --test, were made in this order: what changed in one "
+    sequence += "stays so in those after it, and the vessel is written as it was in the end"
+    add_flag(diagnose, "--one-after-another", sequence)
     manoeuvre = "write the manoeuvre that separates rivals as a command sequence (t, cmd_...)"
     add_option(diagnose, "--next-manoeuvre", "CSV", pathlib.Path, manoeuvre)
 
@@ -303,6 +306,7 @@ def diagnose_command(args: argparse.Namespace) -> None:
                 anchor=args.anchor,
                 quick=args.quick,
                 budget=args.budget - (time.monotonic() - began),
+                one_after_another=args.one_after_another,
             )
             if next_csv is not None:
                 experiment, train = found.experiment, found.diagnosis.split.train

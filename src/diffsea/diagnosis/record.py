@@ -33,7 +33,7 @@ from diffsea.identification.fit import normalised_rms
 from diffsea.identification.free_predictions import free_errors
 from diffsea.identification.holdout import HeldOut, held_out_coordinates
 from diffsea.identification.problem import Problem
-from diffsea.vessel.effects import EFFECTS, catalogue_name
+from diffsea.vessel.effects import EFFECTS, Onset, catalogue_name
 from diffsea.vessel.files import Table, updated_document
 
 
@@ -366,17 +366,22 @@ def _limit(problem: Problem, name: str, limit: float | None) -> Record:
     return row
 
 
-def vessel_document(document: Table, diagnosis: Diagnosis) -> Table:
+def vessel_document(document: Table, diagnosis: Diagnosis, in_the_end: bool = False) -> Table:
     """The vessel's document with fitted derivatives and the effects found.
 
-    An environment of its own for each recording belongs to the recordings, not the vessel.
+    An environment of its own for each recording belongs to the recordings, not the vessel. A vessel
+    as it is `in_the_end` has every change from the beginning of a run on.
     """
     problem, final = diagnosis.split.train, diagnosis.final
     tables = []
     for name in diagnosis.names:
         instances = parameter_records(problem, final, name)
         if len(instances) == 1 and is_known(instances[0]):
-            tables.append(effect_table(problem.base, name, instances[0]))
+            table = effect_table(problem.base, name, instances[0])
+            onset = EFFECTS[name].scanned
+            if in_the_end and onset is not None and isinstance(onset[1], Onset):
+                del table[onset[1].key]
+            tables.append(table)
     return _fitted_document(document, problem, final, tables)
 
 

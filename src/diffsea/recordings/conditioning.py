@@ -5,6 +5,8 @@ provenance.
 """
 
 import dataclasses
+import math
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -43,6 +45,28 @@ def cut_between(trajectory: Trajectory, start: float | None, end: float | None) 
     t = np.asarray(trajectory.t, float)
     first, last = (float(t[0]), float(t[-1]))
     return cut(trajectory, first if start is None else start, last if end is None else end)
+
+
+def in_sequence(recordings: Sequence[Trajectory]) -> list[Trajectory]:
+    """Recordings on one clock, each after the ones before it: what changed in one has changed.
+
+    A recording that begins before the one before it has ended, on its clock, begins at the next
+    multiple of a power of ten (s) that is longer than every recording.
+    """
+    longest = max((float(run.t[-1] - run.t[0]) for run in recordings), default=0.0)
+    room = 10.0 ** math.ceil(math.log10(max(longest, 1.0) * 1.01))
+    shift, end, moved = 0.0, -math.inf, []
+    for run in recordings:
+        if float(run.t[0]) + shift < end:
+            shift = room * math.ceil(end / room) - float(run.t[0])
+        end = float(run.t[-1]) + shift
+        if shift:
+            note = f"{shift:+.6g} s on the clock, after the recordings before it"
+            run = dataclasses.replace(
+                run, t=np.asarray(run.t, float) + shift, provenance=(*run.provenance, note)
+            )
+        moved.append(run)
+    return moved
 
 
 def thin(trajectory: Trajectory, interval: float) -> Trajectory:

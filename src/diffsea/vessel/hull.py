@@ -1,6 +1,7 @@
 """Hydrodynamic forces on the hull: derivative sets, cross-flow drag, heel, and their changes."""
 
 import re
+from collections.abc import Mapping
 from typing import ClassVar
 
 import equinox as eqx
@@ -195,7 +196,7 @@ class Change(AbstractDependentForce):
     factor: Scalar  # relative: 0.2 is a fifth more
     time: Scalar  # s, on the run's clock
     part: str = eqx.field(static=True)  # "resistance" or "thrust"
-    shares: dict[str, Scalar] | None = None  # that change, of single propulsors; None: all of it
+    shares: Mapping[str, Scalar] | None = None  # that change, of single propulsors; None: all of it
 
     def __call__(
         self, vessel: Vessel, forces: Forces, water: State, environment: Environment, t: Scalar

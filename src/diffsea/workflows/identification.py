@@ -35,6 +35,7 @@ from diffsea.parameters import Parameter
 from diffsea.progress import Progress, Remark, counted, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.recordings.auditing.actuators import stale_feedback
+from diffsea.recordings.conditioning import in_sequence
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.fit import compare_fit
 from diffsea.report.predictions import ComparedRun, compare, horizon_table
@@ -357,6 +358,7 @@ def diagnose(
     quick: bool = False,
     budget: float = math.inf,
     keep_idle: bool = False,
+    one_after_another: bool = False,
 ) -> DiagnosisResult:
     """Find the physics that a vessel's model leaves out, as `diffsea diagnose` does.
 
@@ -375,6 +377,9 @@ def diagnose(
         budget: seconds, after which no further step of any stage is begun: fits end where they
             are, and what was found is judged and told, with what was left out.
         keep_idle: as for `fit`.
+        one_after_another: whether the recordings, and then those held out, were made in this order:
+            they share one clock then, and a change in one of them stays in those after it. The
+            vessel is returned as it was in the end.
 
     Raises:
         UserError: recordings that cannot be read or do not suit the vessel.
@@ -386,6 +391,11 @@ def diagnose(
             as_used_recordings(some, mapping, keep_idle, progress) for some in (recordings, test)
         )
         require_order_units(file.vessel, [*runs, *held_out])
+        if one_after_another:
+            whole = in_sequence([*runs, *held_out])
+            runs, held_out = whole[: len(runs)], whole[len(runs) :]
+            begin = (f"{run.name} at {run.t[0]:.6g} s" for run in whole)
+            progress(Remark(f"one after another on one clock: {', '.join(begin)}"))
         progress(f"checking {counted(len(runs) + len(held_out), 'recording')} for faults")
         audited = list(audit([*runs, *held_out]))
         audited += [one for run in (*runs, *held_out) for one in unit_findings(file.vessel, run)]
@@ -417,7 +427,10 @@ def diagnose(
             progress("looking for the manoeuvre that would tell more")
             experiment = next_experiment(found)
         progress("comparing predictions")
-        documents = nominal_document(file.document, found), vessel_document(file.document, found)
+        documents = (
+            nominal_document(file.document, found),
+            vessel_document(file.document, found, in_the_end=one_after_another),
+        )
         nominal, diagnosed = (VesselFile(build(one), one, file.path) for one in documents)
         predicted = []
         if not left.skips("free predictions"):

@@ -8,7 +8,7 @@ from diffsea.parameters import parameter_meaning
 from diffsea.report.quantities import is_known, odds, round_to_error, with_error
 from diffsea.trajectory import in_words
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
-from diffsea.vessel.effects.actuators import SIDES
+from diffsea.vessel.effects.actuators import SIDES, OrderedChannels
 from diffsea.vessel.effects.entry import MeasuredChannels
 
 
@@ -82,7 +82,10 @@ class PhrasedParameter:
 
 
 def catalogue_entry(effect: Record) -> Effect | None:
-    """The effect's entry of the catalogue: of variants that with its channels or parameters."""
+    """The effect's entry of the catalogue: of variants that with its channels or parameters.
+
+    Of those with the same parameters one that acts on some actuators, where it does.
+    """
     name, late = effect["name"], set(effect.get("channels", ()))
     variants = [one for one in EFFECTS.values() if name in (one.name, catalogue_name(one.name))]
     alike = [
@@ -91,7 +94,9 @@ def catalogue_entry(effect: Record) -> Effect | None:
         if isinstance(one.place, MeasuredChannels) and set(one.place.names) == late
     ]
     told = [one for one in variants if set(one.units) == set(effect["parameters"])]
-    return (alike or told or variants or [None])[0]
+    on_some = bool(effect.get("actuators"))
+    placed = [one for one in told if isinstance(one.place, OrderedChannels) == on_some]
+    return (alike or placed or told or variants or [None])[0]
 
 
 def phrase(effect: Record) -> str:
