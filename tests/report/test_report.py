@@ -803,6 +803,15 @@ def test_several_effects_and_effects_of_each_run():
     assert "current in two: speed 0.340 +- 0.010 m/s" in text
 
 
+def test_what_acts_on_some_actuators_says_on_which():
+    time = {"value": 592.0, "std": 0.2, "unit": "s"}
+    factor = {"value": -0.42, "std": 0.01, "unit": "1"}
+    weaker = {"name": "thrust-change", "parameters": {"time": time, "factor": factor}}
+    assert phrase(weaker) == "a thrust that is 42 % smaller from 592 s on"
+    told = phrase(weaker | {"actuators": ["starboard"]})
+    assert told == "a thrust of the starboard actuator that is 42 % smaller from 592 s on"
+
+
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_every_effect_has_a_phrase(name):
     effect = EFFECTS[name]

@@ -5,6 +5,7 @@ provenance.
 """
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -50,23 +51,21 @@ def cut_between(trajectory: Trajectory, start: float | None, end: float | None) 
 def in_sequence(recordings: Sequence[Trajectory]) -> list[Trajectory]:
     """Recordings on one clock, each after the ones before it: what changed in one has changed.
 
-    A recording that begins before the one before it has ended, on its clock, begins at the next
-    multiple of a power of ten (s) that is longer than every recording.
+    As they are, if each begins after the one before it has ended; else they begin at multiples of a
+    power of ten (s) that is longer than any of them.
     """
-    longest = max((float(run.t[-1] - run.t[0]) for run in recordings), default=0.0)
-    room = 10.0 ** math.ceil(math.log10(max(longest, 1.0) * 1.01))
-    shift, end, moved = 0.0, -math.inf, []
-    for run in recordings:
-        if float(run.t[0]) + shift < end:
-            shift = room * math.ceil(end / room) - float(run.t[0])
-        end = float(run.t[-1]) + shift
-        if shift:
-            note = f"{shift:+.6g} s on the clock, after the recordings before it"
-            run = dataclasses.replace(
-                run, t=np.asarray(run.t, float) + shift, provenance=(*run.provenance, note)
-            )
-        moved.append(run)
-    return moved
+    pairs = itertools.pairwise(recordings)
+    if all(float(before.t[-1]) < float(after.t[0]) for before, after in pairs):
+        return list(recordings)
+    longest = max(float(run.t[-1] - run.t[0]) for run in recordings)
+    room = 10.0 ** (math.floor(math.log10(max(longest, 1.0))) + 1)
+
+    def moved(run: Trajectory, shift: float) -> Trajectory:
+        note = f"moved by {shift:+.6g} s on the clock, to follow the recordings before it"
+        t = np.asarray(run.t, float) + shift
+        return dataclasses.replace(run, t=t, provenance=(*run.provenance, note))
+
+    return [moved(run, k * room - float(run.t[0])) for k, run in enumerate(recordings)]
 
 
 def thin(trajectory: Trajectory, interval: float) -> Trajectory:

@@ -140,7 +140,8 @@ def _read_change(vessel: Vessel, table: Table, variants: Sequence[Effect], where
     if "actuators" not in table:
         return read_table(vessel, table, variants[:1], where)
     check_keys(table, ("name", "time", "factor", "actuators"), where)
-    factor, time = needed(table, "factor", where), needed(table, "time", where)
+    factor = needed(table, "factor", where)
+    time = numbers(table, ("time",), where).get("time", 0.0)
     channels = chosen_channels(vessel, table, where) & set(PROPULSION.all_on(vessel))
     chosen = {n: 1.0 for n, part in vessel.propulsors.items() if channels & set(part.servos)}
     if not chosen:

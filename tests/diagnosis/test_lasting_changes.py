@@ -1,0 +1,32 @@
+"""A change in one recording that stays, found on the clock that recordings share."""
+
+import pytest
+from tests.diagnosis.small import DOCUMENT
+from tests.runs import random_steps
+
+import diffsea
+from diffsea import VesselFile
+from diffsea.vessel.files import build
+
+
+pytestmark = pytest.mark.slow
+
+SECONDS, STEP = 60.0, 0.2
+WEAKER = {"factor": -0.4, "actuators": ["starboard"]}
+
+
+def test_weed_in_one_propeller_is_found_from_when_it_was_there():
+    """The second of three runs, which all begin at zero, loses thrust on one side half way."""
+    since = (None, 30.0, 0.0)
+    hidden = ({} if t is None else {"thrust-change": {"time": t, **WEAKER}} for t in since)
+    runs = [random_steps(DOCUMENT, 20 + k, SECONDS, STEP, one) for k, one in enumerate(hidden)]
+    file = VesselFile(build(DOCUMENT), DOCUMENT, "usv.toml")
+    found = diffsea.diagnose(file, runs[:2], runs[2:], quick=True, one_after_another=True)
+    (effect,) = found.record["effects"]
+    assert effect["name"] == "thrust-change" and effect["actuators"] == ["starboard"]
+    for key, true in (("time", 100.0 + 30.0), ("factor", -0.4)):
+        one = effect["parameters"][key]
+        assert abs(one["value"] - true) < 4 * one["std"]
+    assert effect["parameters"]["time"]["std"] < 1.0
+    (table,) = found.diagnosed.document["effect"]
+    assert table["actuators"] == ["starboard"] and "time" not in table
