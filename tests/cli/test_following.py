@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from diffsea.cli import main
-from diffsea.cli.following import following_commands
+from diffsea.cli.following import commands_after_diagnosis, following_commands
 from diffsea.vessel.files import read_vessel
 
 
@@ -95,3 +95,20 @@ def test_span_mapping_and_log_are_passed_on_and_boats_told_apart():
     assert found[2].startswith("diffsea new boat2.toml ")
     end = "b.csv c.csv --mapping out/b.mapping.toml --start 5 --end 100"
     assert found[3:] == [f"diffsea diagnose boat2.toml {end}"]
+
+
+def test_what_may_have_changed_in_one_recording_is_asked_of_all_on_one_clock():
+    runs = [pathlib.Path("run1.csv"), pathlib.Path("run2.csv")]
+    args = argparse.Namespace(recordings=runs, test=[], one_after_another=False)
+    there = {"recording": "run2.csv", "in_regime": False}
+    nothing = {"effects": [], "audit": [], "verdict": "unexplained"}
+
+    def told(*where, **other):
+        given = argparse.Namespace(**vars(args) | other)
+        return " ".join(
+            commands_after_diagnosis(given, pathlib.Path("out"), nothing | {"where": where})
+        )
+
+    assert "--one-after-another" in told(there) and "run2.csv" in told(there)
+    assert told({"recording": "all", "in_regime": True}) == ""
+    assert told(there, one_after_another=True) == "" and told(there, recordings=runs[:1]) == ""

@@ -1,4 +1,7 @@
-"""The commands that go on from a check: a vessel file, and a diagnosis of the logs by it."""
+"""The commands that go on from a check, or from a diagnosis.
+
+From a check a vessel file, and a diagnosis of the logs by it.
+"""
 
 import argparse
 import math
@@ -6,7 +9,7 @@ import pathlib
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 
 if TYPE_CHECKING:
@@ -64,6 +67,33 @@ def _by_mapping(
     for path, file in files.items():
         found.setdefault(file, []).append(path)
     return found
+
+
+def commands_after_diagnosis(
+    args: argparse.Namespace, folder: pathlib.Path, record: dict[str, Any]
+) -> list[str]:
+    """What to do after a diagnosis that wrote into a folder: first put right how logs are read."""
+    from diffsea.report.wording.findings import misread_sentences
+    from diffsea.report.wording.words import named_effects
+
+    if misread_sentences(record):
+        words = ["diffsea", "audit", *map(str, [*args.recordings, *args.test]), *read_so(args)]
+        repaired = folder / "repaired"
+        return [
+            "put right first how the recordings are read, on which all of this rests",
+            shlex.join([*words, "--repair", "-o", str(repaired)]),
+            f"and diagnose what it writes into {repaired}, the same runs held out",
+        ]
+    if named_effects(record):
+        return [f"diffsea predict {shlex.quote(str(folder / 'vessel.toml'))} ANOTHER_RUN"]
+    strongest = next((one for one in record["where"] if not one["in_regime"]), None)
+    recorded = len(args.recordings) + len(args.test)
+    if strongest is None or recorded < 2 or args.one_after_another:
+        return []
+    return [
+        "the same with --one-after-another, if the recordings were made in this order:",
+        f"what changed in one ({strongest['recording']}?) may have stayed so after it",
+    ]
 
 
 def read_so(args: argparse.Namespace) -> list[str]:

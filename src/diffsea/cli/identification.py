@@ -4,12 +4,11 @@ import argparse
 import dataclasses
 import math
 import pathlib
-import shlex
 import time
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
-from diffsea.cli.following import read_so
+from diffsea.cli.following import commands_after_diagnosis
 from diffsea.cli.options import add_choice, add_flag, add_option
 from diffsea.cli.outputs import Outputs, table
 from diffsea.cli.progress.staged import StagedProgress
@@ -321,22 +320,5 @@ def diagnose_command(args: argparse.Namespace) -> None:
             out.json("diagnosis.json", found.record)
             out.text("vessel.toml", dump(found.diagnosed.document))
             out.text("report.html", found.html())
-    out.present(args, verdict_text(found.record), _following(args, out, found.record))
-
-
-def _following(args: argparse.Namespace, out: Outputs, record: "dict[str, Any]") -> list[str]:
-    """What goes on from a diagnosis: first put right how recordings are read."""
-    from diffsea.report.wording.findings import misread_sentences
-    from diffsea.report.wording.words import named_effects
-
-    if misread_sentences(record):
-        words = ["diffsea", "audit", *map(str, [*args.recordings, *args.test]), *read_so(args)]
-        repaired = out.folder / "repaired"
-        return [
-            "put right first how the recordings are read, on which all of this rests",
-            shlex.join([*words, "--repair", "-o", str(repaired)]),
-            f"and diagnose what it writes into {repaired}, the same runs held out",
-        ]
-    if not named_effects(record):
-        return []
-    return [f"diffsea predict {shlex.quote(str(out.folder / 'vessel.toml'))} ANOTHER_RUN"]
+    following = commands_after_diagnosis(args, out.folder, found.record)
+    out.present(args, verdict_text(found.record), following)
