@@ -140,6 +140,17 @@ def test_both_sides_are_thrust_plus_and_minus_steering(throttle, steering):
     assert orders["starboard"] == pytest.approx(newtons(throttle - steering))
 
 
+def test_a_thruster_that_pushes_across_is_left_alone():
+    across = {"name": "bow", "x": 1.2, "angle": math.pi / 2, "unit": "percent"}
+    across |= {"thrust_curve": {"full_thrust": 40.0}}
+    boat = build(TWIN | {"thruster": [*TWIN["thruster"], across]})
+    mixer = mixer_of(boat)
+    orders = mixer.orders(0.3, 0.1)
+    assert mixer.kind == "skid" and orders["bow"] == 0.0
+    assert orders["port"] == pytest.approx(newtons(0.4))
+    assert values(boat, 1.5) == pytest.approx(values(build(TWIN), 1.5))
+
+
 # A fit's record
 
 

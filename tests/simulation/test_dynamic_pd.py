@@ -11,6 +11,7 @@ import pytest
 
 from diffsea import Outcome, State, UserError, read_vessel, run_controlled
 from diffsea.simulation.control.waypoints import DynamicPD, dynamic_pd
+from diffsea.vessel.files import build
 
 
 WAY = np.array([[10.0, 0.0], [10.0, 12.0], [-6.0, 12.0]])
@@ -142,6 +143,13 @@ def test_derivatives_through_the_smooth_loop_are_those_of_differences(boat):
 def test_the_pair_is_found_by_the_side_it_is_on(boat):
     law = dynamic_pd(boat, WAY, **NUMBERS)
     assert (law.port, law.starboard) == ("port", "starboard")
+
+
+def test_a_thruster_that_pushes_across_is_none_of_the_pair(boat):
+    document = read_vessel("wamv").document
+    stern = {"name": "stern", "x": -1.0, "y": 0.4, "angle": np.pi / 2}
+    tug = build(document | {"thruster": [*document["thruster"], stern]})
+    assert dynamic_pd(tug, WAY, **NUMBERS).starboard == "starboard"
 
 
 def test_a_vessel_without_a_pair_is_refused():

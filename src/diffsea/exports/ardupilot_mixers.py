@@ -59,17 +59,16 @@ def mixer_of(vessel: Vessel) -> Mixer:
     steered = [
         c for part in parts for c, channel in part.channels.items() if channel.role == "steering"
     ]
-    turning = [part for part in vessel.propulsors.values() if isinstance(part, AzimuthThruster)]
-    fixed = [part for part in vessel.propulsors.values() if isinstance(part, FixedThruster)]
-    sides = [part for part in fixed if part.differential and float(part.y)]
+    turning = [part for part in vessel.driving if isinstance(part, AzimuthThruster)]
+    sides = [part for part in vessel.driving if isinstance(part, FixedThruster) and float(part.y)]
     if turning:
-        if len(vessel.propulsors) > 1:
+        if len(vessel.driving) > 1:
             raise UserError("--to ardupilot: of vectored thrust ArduPilot has one thruster")
         return _vectored(vessel, turning[0])
-    if steered and vessel.propulsors:
+    if steered and vessel.driving:
         return _with_rudder(vessel, steered)
     on_both_sides = {float(p.y) > 0 for p in sides} == {True, False}
-    if on_both_sides and len(sides) == len(vessel.propulsors):
+    if on_both_sides and len(sides) == len(vessel.driving):
         return _skid(vessel)
     raise UserError(
         f"--to ardupilot: {vessel.name!r} has none of the frames that ArduPilot steers: thrusters "
@@ -113,7 +112,7 @@ def expo_of(exponent: float) -> float:
 
 def _propulsion(vessel: Vessel) -> tuple[float, float, Callable[[AbstractPropulsor, float], float]]:
     """Expo, asymmetry of thrust, and the order of a propulsor for a thrust's share."""
-    parts = list(vessel.propulsors.values())
+    parts = vessel.driving
     expo = expo_of(_exponent(parts[0]))
     _, _, *both = _ends(vessel, parts[0])
     ahead, astern = (abs(float(parts[0].thrust_at_rest(jnp.asarray(end)))) for end in both)
@@ -133,14 +132,20 @@ def _propulsion(vessel: Vessel) -> tuple[float, float, Callable[[AbstractPropuls
     return expo, asymmetry, order
 
 
+def _at_rest(vessel: Vessel) -> Orders:
+    """Every channel's neutral, as of thrusters that push across."""
+    neutral = {channel: servo.neutral for channel, servo in vessel.servos.items()}
+    return {channel: 0.0 if at is None else float(at) for channel, at in neutral.items()}
+
+
 def _skid(vessel: Vessel) -> Mixer:
     """Thrusters of both sides: throttle plus steering to port, minus to starboard."""
     expo, asymmetry, order = _propulsion(vessel)
 
     def orders(throttle: float, steering: float) -> Orders:
-        return {
+        return _at_rest(vessel) | {
             channel: order(part, throttle - (steering if float(part.y) > 0 else -steering))
-            for part in vessel.propulsors.values()
+            for part in vessel.driving
             for channel in part.servos
         }
 
@@ -156,10 +161,8 @@ def _with_rudder(vessel: Vessel, steered: list[str]) -> Mixer:
     largest = float(min(limits))  # pyright: ignore[reportArgumentType]
 
     def orders(throttle: float, steering: float) -> Orders:
-        drive = {
-            _ends(vessel, part)[0]: order(part, throttle) for part in vessel.propulsors.values()
-        }
-        return drive | dict.fromkeys(steered, steering * largest)
+        drive = {_ends(vessel, part)[0]: order(part, throttle) for part in vessel.driving}
+        return _at_rest(vessel) | drive | dict.fromkeys(steered, steering * largest)
 
     return Mixer("rudder", expo, asymmetry, largest, orders)
 
@@ -176,6 +179,7 @@ def _vectored(vessel: Vessel, part: AzimuthThruster) -> Mixer:
         angle = math.atan2(steering, max(throttle, _SMALLEST_SHARE))
         share = throttle / math.cos(angle)
         turned = math.copysign(1.0, float(part.x)) * angle
-        return {part.force_channel: order(part, share), part.angle_channel: turned}
+        own = {part.force_channel: order(part, share), part.angle_channel: turned}
+        return _at_rest(vessel) | own
 
     return Mixer("vectored", expo, asymmetry, largest, orders)

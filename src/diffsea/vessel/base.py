@@ -230,6 +230,11 @@ class Vessel(eqx.Module):
         parts = self.actuators.items()
         return {name: part for name, part in parts if isinstance(part, AbstractPropulsor)}
 
+    @property
+    def driving(self) -> list[AbstractPropulsor]:
+        """The propulsors that take a throttle."""
+        return [part for part in self.propulsors.values() if part.takes_throttle]
+
     def mass_matrix(self) -> Float[Array, "3 3"]:
         """Rigid-body plus added mass about the midship origin (kg, kg m, kg m^2).
 

@@ -37,7 +37,7 @@ class ControlAllocation(eqx.Module):
         """How many actuators divide a throttle of its kind: all alike where it is in N."""
         if not isinstance(part, AbstractPropulsor) or part.bollard_coefficient is not None:
             return 1
-        return max(sum(type(one) is type(part) for one in _driving(self.vessel)), 1)
+        return max(sum(type(one) is type(part) for one in self.vessel.driving), 1)
 
     @property
     def steerable(self) -> bool:
@@ -51,12 +51,7 @@ class ControlAllocation(eqx.Module):
     @property
     def propelled(self) -> bool:
         """Whether a throttle changes anything."""
-        return bool(_driving(self.vessel))
-
-
-def _driving(vessel: Vessel) -> list[AbstractPropulsor]:
-    """The propulsors that take a throttle."""
-    return [part for part in vessel.propulsors.values() if part.takes_throttle]
+        return bool(self.vessel.driving)
 
 
 def require_steering(vessel: Vessel, manoeuvre: str) -> None:
@@ -98,7 +93,7 @@ def throttle_for(vessel: Vessel, speed: Scalar) -> Scalar:
     Differentiable in the vessel and the speed by the implicit-function theorem. Newton's method
     starts from a propeller at J = 0.6, or from a thrust equal to the drag.
     """
-    propulsors = _driving(vessel)
+    propulsors = vessel.driving
     if not propulsors:
         return jnp.zeros(())
     diameters = [part.diameter for part in propulsors if part.diameter is not None]
@@ -128,7 +123,7 @@ def throttle_for_thrust(vessel: Vessel, thrust: Scalar) -> Scalar:
     their shaft speed, push differently at every speed: they get the throttle that holds the speed
     at which the hull's drag, straight ahead in still water, is `thrust`.
     """
-    if all(part.bollard_coefficient is None for part in _driving(vessel)):
+    if all(part.bollard_coefficient is None for part in vessel.driving):
         return jnp.asarray(thrust, float)
 
     def excess(speed: Scalar, at: tuple[Vessel, Scalar]) -> Scalar:
@@ -147,7 +142,7 @@ def full_throttle(vessel: Vessel) -> Scalar:
     allocation = ControlAllocation(vessel)
     limits = [
         allocation.sharing(part) * jnp.asarray(full, float)
-        for part in _driving(vessel)
+        for part in vessel.driving
         if (full := part.full_throttle) is not None
     ]
     return jnp.min(jnp.stack(limits)) if limits else math.inf
