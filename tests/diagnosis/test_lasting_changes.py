@@ -1,5 +1,7 @@
 """A change in one recording that stays, found on the clock that recordings share."""
 
+import dataclasses
+
 import pytest
 from tests.diagnosis.small import DOCUMENT
 from tests.runs import random_steps
@@ -19,7 +21,10 @@ def test_weed_in_one_propeller_is_found_from_when_it_was_there():
     """The second of three runs, which all begin at zero, loses thrust on one side half way."""
     since = (None, 30.0, 0.0)
     hidden = ({} if t is None else {"thrust-change": {"time": t, **WEAKER}} for t in since)
-    runs = [random_steps(DOCUMENT, 20 + k, SECONDS, STEP, one) for k, one in enumerate(hidden)]
+    runs = [
+        dataclasses.replace(random_steps(DOCUMENT, k, SECONDS, STEP, one), name=f"run {k}")
+        for k, one in enumerate(hidden, start=20)
+    ]
     file = VesselFile(build(DOCUMENT), DOCUMENT, "usv.toml")
     found = diffsea.diagnose(file, runs[:2], runs[2:], quick=True, one_after_another=True)
     (effect,) = found.record["effects"]
@@ -27,6 +32,9 @@ def test_weed_in_one_propeller_is_found_from_when_it_was_there():
     for key, true in (("time", 100.0 + 30.0), ("factor", -0.4)):
         one = effect["parameters"][key]
         assert abs(one["value"] - true) < 4 * one["std"]
-    assert effect["parameters"]["time"]["std"] < 1.0
+    time = effect["parameters"]["time"]
+    assert time["std"] < 1.0 and time["recording"] == "run 21"
+    assert time["since_start"] == pytest.approx(time["value"] - 100.0)
+    assert any("into run 21)" in line for line in found.notes())
     (table,) = found.diagnosed.document["effect"]
     assert table["actuators"] == ["starboard"] and "time" not in table

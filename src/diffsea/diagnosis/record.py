@@ -4,7 +4,7 @@ The contract of diagnosis.json is written here and nowhere else.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -236,6 +236,8 @@ def _effect(diagnosis: Diagnosis, accepted: AcceptedEffect) -> list[Record]:
                 entry["std"] *= 1.0 if constancy is None else constancy.scatter
                 off = float(norm.ppf(0.95)) * entry["std"]
                 entry["interval"] = [entry["value"] - off, entry["value"] + off]
+        for key, began in _began_in(diagnosis, accepted.name, parameters).items():
+            parameters[key] |= began
         record = {
             "name": catalogue_name(accepted.name),
             "parameters": parameters,
@@ -248,6 +250,25 @@ def _effect(diagnosis: Diagnosis, accepted: AcceptedEffect) -> list[Record]:
         elif number < len(diagnosis.split.recordings) and is_known(parameters):
             records.append(record | {"recording": diagnosis.split.recordings[number].name})
     return records
+
+
+def _began_in(diagnosis: Diagnosis, name: str, parameters: Mapping[str, Record]) -> Record:
+    """In which recording an onset lies, and how long (s) after its start, by the onset's key.
+
+    Nothing where none of them or more than one has that time on its clock, or there is but one.
+    """
+    scanned = EFFECTS[name].scanned
+    if scanned is None or not isinstance(scanned[1], Onset):
+        return {}
+    key = scanned[1].key
+    time = parameters[key]["value"]
+    runs = [*diagnosis.split.recordings, *diagnosis.split.held_out]
+    if time is None or len(runs) == 1:
+        return {}
+    of = [run for run in runs if run.t[0] <= time <= run.t[-1]]
+    if len(of) != 1:
+        return {}
+    return {key: {"recording": of[0].name, "since_start": time - float(of[0].t[0])}}
 
 
 def _gain(hypothesis: Hypothesis) -> Record:

@@ -185,6 +185,9 @@ def parameter_lines(effect: Record) -> list[str]:
         text = with_error(entry["value"], entry.get("std"), entry.get("unit", ""))
         if "beyond" in entry:
             text = f"above {round_to_error(entry['beyond'], None, entry['unit'])}, if any"
+        if "recording" in entry:  # of a time
+            since = round_to_error(entry["since_start"], entry.get("std"), "s")
+            text = f"{text} ({since} into {entry['recording']})"
         lines.append(f"{parameter_words(name)} {text}{direction_note(effect, name)}")
     return lines
 
