@@ -21,6 +21,7 @@ SECTIONS = {
 }
 NAMES = sorted({catalogue_name(name) for name in EFFECTS})
 VALUES = {"channels": ["psi"], "depth": 50.0}  # what is not 0.5 where it is tried
+CHANNELS = {"lever-arm": ["x", "y"]}  # by effect, where others are asked for
 
 
 @functools.cache
@@ -81,6 +82,7 @@ def test_where_not_all_vessels_are_asked_the_page_says_which(name):
 def test_a_key_of_the_page_is_read(name, key, tmp_path):
     document = document_for(name, key)
     names = VALUES | {"actuators": [next(iter(build(document).channels))]}
+    names |= {"channels": CHANNELS.get(name, VALUES["channels"])}
     chosen = dict.fromkeys((keys_on_page(name)[0], key))
     table = {"name": name} | {one: names.get(one, 0.5) for one in chosen}
     path = tmp_path / "vessel.toml"

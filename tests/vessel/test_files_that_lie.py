@@ -127,7 +127,7 @@ def test_fits_refuse_such_a_number_at_once(tmp_path):
                     }
                 ]
             },
-            "unknown key",
+            "it is the heading alone",
         ),
         ({"effect": [{"name": "gyro-bias", "time": 2.0}]}, "bias is missing"),
         (

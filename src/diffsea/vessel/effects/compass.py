@@ -50,10 +50,13 @@ def _turns_velocities(table: Table, where: str) -> bool | None:
 def _read_offset(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
     """An offset of the compass, from a `time` on where there is one, or of the axes."""
     constant, stepped, axes = variants
+    check_keys(table, ("name", "angle", "time", "channels"), where)
     turns = _turns_velocities(table, where)
     table = {key: value for key, value in table.items() if key != "channels"}
     if not turns:
         return read_from_an_instant(vessel, table, (constant, stepped), where)
+    if "time" in table:
+        raise UserError(f"{where}: from a time on it is the heading alone: leave out channels")
     needed(table, "angle", where)
     return read_table(vessel, table, [axes], where)
 

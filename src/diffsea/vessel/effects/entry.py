@@ -288,6 +288,7 @@ def read_from_an_instant(
 ) -> Vessel:
     """An error of all the run, or from the `time` on that a table states."""
     constant, stepped = variants
+    check_keys(table, ("name", constant.stated_key, "time"), where)
     needed(table, constant.stated_key, where)
     chosen = stepped if "time" in table else constant
     return read_table(vessel, table, [chosen], where, others=("time",))

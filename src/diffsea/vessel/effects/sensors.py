@@ -118,6 +118,7 @@ def _lever(axis: str) -> Size:
 
 def _read_lever(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
     """The arm of positions, or of the velocities that a table names among its `channels`, too."""
+    check_keys(table, ("name", "x", "y", "channels"), where)
     channels = read_names(table, "channels", where, ' such as ["x", "y"]')
     of_positions, of_antenna = variants
     known = {frozenset(of_antenna.place.in_file(vessel)["channels"]): of_antenna}

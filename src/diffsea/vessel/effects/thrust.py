@@ -137,9 +137,9 @@ PROPULSION = OrderedChannels("propulsion")
 
 def _read_change(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
     """A change of the thrust of the actuators that a table names, of all where it names none."""
+    check_keys(table, ("name", "time", "factor", "actuators"), where)
     if "actuators" not in table:
         return read_table(vessel, table, variants[:1], where)
-    check_keys(table, ("name", "time", "factor", "actuators"), where)
     factor = needed(table, "factor", where)
     time = numbers(table, ("time",), where).get("time", 0.0)
     channels = chosen_channels(vessel, table, where) & set(PROPULSION.all_on(vessel))
