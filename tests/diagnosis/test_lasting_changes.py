@@ -36,5 +36,6 @@ def test_weed_in_one_propeller_is_found_from_when_it_was_there():
     assert time["std"] < 1.0 and time["recording"] == "run 21"
     assert time["since_start"] == pytest.approx(time["value"] - 100.0)
     assert any("into run 21)" in line for line in found.notes())
+    assert "s into run 21" in found.html()
     (table,) = found.diagnosed.document["effect"]
     assert table["actuators"] == ["starboard"] and "time" not in table

@@ -217,6 +217,8 @@ def found_effects(summary: Record) -> list[FoundEffect]:
                 size = with_error(entry["value"], entry.get("std"), entry.get("unit", ""))
                 place = [Verbatim(effect["recording"])] if own else []
                 rows.append([*place, label, size, interval_of(entry)])
+                if within := words.within_recording(entry):
+                    rows.append([*place, "which is", Verbatim(within), ""])
         columns = [*(["recording"] if own else []), "parameter", "estimate", "90 % interval"]
         title, known = words.as_words(first["name"]) + words.acted_on(first), first["evidence"]
         gain = with_error(known.get("held_out_gain"), known.get("held_out_gain_std"))

@@ -185,11 +185,17 @@ def parameter_lines(effect: Record) -> list[str]:
         text = with_error(entry["value"], entry.get("std"), entry.get("unit", ""))
         if "beyond" in entry:
             text = f"above {round_to_error(entry['beyond'], None, entry['unit'])}, if any"
-        if "recording" in entry:  # of a time
-            since = round_to_error(entry["since_start"], entry.get("std"), "s")
-            text = f"{text} ({since} into {entry['recording']})"
+        text += f" ({within})" if (within := within_recording(entry)) else ""
         lines.append(f"{parameter_words(name)} {text}{direction_note(effect, name)}")
     return lines
+
+
+def within_recording(entry: Record) -> str:
+    """`70.1 s into run3.csv`, of a time that lies in one recording; nothing of all else."""
+    if "since_start" not in entry:
+        return ""
+    since = round_to_error(entry["since_start"], entry.get("std"), "s")
+    return f"{since} into {entry['recording']}"
 
 
 def effect_lines(name: str, runs: Sequence[Record], log10_odds: float | None = None) -> list[str]:
