@@ -401,7 +401,7 @@ def vessel_document(document: Table, diagnosis: Diagnosis, in_the_end: bool = Fa
             table = effect_table(problem.base, name, instances[0])
             onset = EFFECTS[name].scanned
             if in_the_end and onset is not None and isinstance(onset[1], Onset):
-                del table[onset[1].key]
+                table.pop(onset[1].key, None)
             tables.append(table)
     return _fitted_document(document, problem, final, tables)
 

@@ -31,7 +31,7 @@ from diffsea.vessel.tables import Table, check_keys, needed, numbers
 
 
 _compass_effect = functools.partial(entry, "sensor")
-TURNED = ("psi", "u", "v")  # channels that a heading turns in whose axes velocities are given
+_TURNED = ("psi", "u", "v")  # channels that a heading turns in whose axes velocities are given
 
 
 def _turns_velocities(table: Table, where: str) -> bool | None:
@@ -39,12 +39,12 @@ def _turns_velocities(table: Table, where: str) -> bool | None:
     channels = read_names(table, "channels", where, ' such as ["psi", "u", "v"]')
     if channels is None:
         return None
-    if set(channels) not in ({"psi"}, set(TURNED)):
+    if set(channels) not in ({"psi"}, set(_TURNED)):
         raise UserError(
             f'{where}: channels are ["psi"], or ["psi", "u", "v"] where velocities are turned '
             "with the heading"
         )
-    return set(channels) == set(TURNED)
+    return set(channels) == set(_TURNED)
 
 
 def _read_offset(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
@@ -90,7 +90,7 @@ def heading_step(vessel: Vessel, at: CoordinateValues) -> Vessel:
     Size("angle", "rad", 0.05),
     phrase="a heading that reads {angle:size} too {angle:high|low}, the velocities turned with it",
     confusables=("current", "wind", "thruster-misalignment", "actuator-bias"),
-    place=MeasuredChannels(TURNED),
+    place=MeasuredChannels(_TURNED),
     read=_read_offset,
 )
 def axes_offset(vessel: Vessel, angle: CoordinateValues) -> Vessel:
@@ -227,7 +227,7 @@ def hard_iron(vessel: Vessel, at: CoordinateValues) -> Vessel:
     confusables=("current", "heading-offset", "wind"),
     possible=lambda vessel: bool(_motors(vessel)),
     parametrisation=_OF_ESTIMATE,
-    place=MeasuredChannels(TURNED),
+    place=MeasuredChannels(_TURNED),
     nearly=True,
     read=_read_deviation,
 )
@@ -247,7 +247,7 @@ def hard_iron_estimated(vessel: Vessel, at: CoordinateValues) -> Vessel:
     confusables=("current", "heading-offset", "gyro-bias"),
     possible=lambda vessel: bool(_motors(vessel)),
     parametrisation=_OF_ESTIMATE,
-    place=TurnedByMotors(TURNED),
+    place=TurnedByMotors(_TURNED),
     nearly=True,
     read=_read_deviation,
 )

@@ -121,15 +121,15 @@ def _read_lever(vessel: Vessel, table: Table, variants: Sequence[Effect], where:
     check_keys(table, ("name", "x", "y", "channels"), where)
     channels = read_names(table, "channels", where, ' such as ["x", "y"]')
     of_positions, of_antenna = variants
-    known = {frozenset(of_antenna.place.in_file(vessel)["channels"]): of_antenna}
-    known |= {frozenset(("x", "y")): of_positions}
-    if frozenset(channels or ("x", "y")) not in known:
+    known = {frozenset("xy"): of_positions, frozenset("xyuv"): of_antenna}
+    chosen = known.get(frozenset("xy" if channels is None else channels))
+    if chosen is None:
         raise UserError(
             f'{where}: channels are ["x", "y"], or ["x", "y", "u", "v"] of an antenna whose '
             "velocities are its own"
         )
     table = {key: value for key, value in table.items() if key != "channels"}
-    return read_table(vessel, table, [known[frozenset(channels or ("x", "y"))]], where)
+    return read_table(vessel, table, [chosen], where)
 
 
 @_sensor_effect(

@@ -135,6 +135,14 @@ def thrust_loss_in_turns(vessel: Vessel, slope: CoordinateValues) -> Vessel:
 PROPULSION = OrderedChannels("propulsion")
 
 
+def _chosen_propulsion(vessel: Vessel, table: Table, where: str) -> set[str]:
+    """Channels that push of the actuators that a table names. Raises `UserError` for none."""
+    channels = chosen_channels(vessel, table, where) & set(PROPULSION.all_on(vessel))
+    if not channels:
+        raise UserError(f"{where}: none of its actuators drives the vessel ahead")
+    return channels
+
+
 def _read_change(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
     """A change of the thrust of the actuators that a table names, of all where it names none."""
     check_keys(table, ("name", "time", "factor", "actuators"), where)
@@ -142,10 +150,8 @@ def _read_change(vessel: Vessel, table: Table, variants: Sequence[Effect], where
         return read_table(vessel, table, variants[:1], where)
     factor = needed(table, "factor", where)
     time = numbers(table, ("time",), where).get("time", 0.0)
-    channels = chosen_channels(vessel, table, where) & set(PROPULSION.all_on(vessel))
+    channels = _chosen_propulsion(vessel, table, where)
     chosen = {n: 1.0 for n, part in vessel.propulsors.items() if channels & set(part.servos)}
-    if not chosen:
-        raise UserError(f"{where}: none of its actuators drives the vessel ahead")
     return add_force(vessel, "thrust-change", Change(factor, time, "thrust", chosen))
 
 
@@ -270,9 +276,7 @@ def _read_curve(vessel: Vessel, table: Table, variants: Sequence[Effect], where:
     for key, value in values.items():
         if value < 0 or (value == 0 and key in ("exponent", "limit", "gain")):
             raise UserError(f"{where}: {key} = {value:g} must be positive")
-    channels = chosen_channels(vessel, table, where) & set(PROPULSION.all_on(vessel))
-    if not channels:
-        raise UserError(f"{where}: none of its actuators drives the vessel ahead")
+    channels = _chosen_propulsion(vessel, table, where)
     for loss, amount in (
         ("asymmetry", values.get("gain", 1.0) - 1),
         ("with_speed", values.get("slope", 0.0)),
