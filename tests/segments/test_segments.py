@@ -25,7 +25,7 @@ from diffsea import (
 )
 from diffsea.cli import main
 from diffsea.cli import segments as command
-from diffsea.metrics.orders import alternating_chains
+from diffsea.metrics.orders import alternating_chains, find_plateaus
 from diffsea.segments import SEGMENT_KINDS, SegmentSettings, cut_out, group_repeats, traceability
 from diffsea.segments.free_motion import quarter_turn_window
 from diffsea.segments.signals import signals_of
@@ -362,6 +362,13 @@ def test_a_flicker_of_the_steering_does_not_part_a_trial():
 
 def test_steering_that_never_swings_makes_no_chain():
     assert alternating_chains([], np.arange(5.0), 0.1) == []
+
+
+def test_a_plateau_needs_rows_near_its_median():
+    """Steered by hand, the median of some rows lies at none of the angles that they are near."""
+    steering = np.repeat([0.018, 0.017, 0.013, -0.006, 0.02, -0.01], 2)
+    (plateau,) = find_plateaus(steering, count=5)
+    assert (plateau.first, plateau.last, plateau.level) == (0, 7, 0.017)
 
 
 def test_the_window_is_the_time_of_a_quarter_turn():

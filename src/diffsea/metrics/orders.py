@@ -299,10 +299,10 @@ def find_plateaus(angle: Samples, count: int, breaks: tuple[int, ...] = ()) -> l
             last = start + min(rows.stop - 1 + count // 2, len(calm) - 1)
             level = float(np.median(angle[first : last + 1]))
             off = np.abs(calm[first - start : last + 1 - start] - level)
-            on = np.flatnonzero(off <= band(level))
-            first, last = int(first + on[0]), int(first + on[-1])
-            if on.size < max(_INSIDE_SHARE * (last - first + 1), 0.5 * count):
+            on = first + np.flatnonzero(off <= band(level))
+            if on.size < 0.5 * count or on.size < _INSIDE_SHARE * (on[-1] - on[0] + 1):
                 continue
+            first, last = int(on[0]), int(on[-1])
             old = found[-1] if found and found[-1].first >= start else None
             if old and first - old.last <= count and abs(level - old.level) <= band(old.level):
                 first = found.pop().first
