@@ -111,6 +111,8 @@ class ReadReport:
     rates: dict[str, float] = dataclasses.field(default_factory=dict)
     unused_columns: tuple[str, ...] = ()  # of a table, by name
     cut_off: str = ""  # that the file ends within a row or message, in words
+    # What the file's clock shows where `t` is zero (s), if it counts from a calendar's epoch.
+    epoch: float | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -103,12 +103,12 @@ def test_what_may_have_changed_in_one_recording_is_asked_of_all_on_one_clock():
     there = {"recording": "run2.csv", "in_regime": False}
     nothing = {"effects": [], "audit": [], "verdict": "unexplained"}
 
-    def told(*where, **other):
+    def told(*where, in_order=False, verdict="unexplained", **other):
         given = argparse.Namespace(**vars(args) | other)
-        return " ".join(
-            commands_after_diagnosis(given, pathlib.Path("out"), nothing | {"where": where})
-        )
+        record = nothing | {"where": where, "verdict": verdict}
+        return " ".join(commands_after_diagnosis(given, pathlib.Path("out"), record, in_order))
 
     assert "--one-after-another" in told(there) and "run2.csv" in told(there)
-    assert told({"recording": "all", "in_regime": True}) == ""
-    assert told(there, one_after_another=True) == "" and told(there, recordings=runs[:1]) == ""
+    assert "--one-after-another" in told({"recording": "all", "in_regime": True})
+    assert told(there, verdict="consistent") == ""
+    assert told(there, in_order=True) == "" and told(there, recordings=runs[:1]) == ""

@@ -1,9 +1,11 @@
 """What is done to recordings before they are used."""
 
 import numpy as np
+import pandas as pd
+import pytest
 
-from diffsea import Trajectory
-from diffsea.recordings.conditioning import in_sequence
+from diffsea import Trajectory, read_recording
+from diffsea.recordings.conditioning import has_calendar, in_sequence, on_one_clock
 
 
 def lasting(seconds, start) -> Trajectory:
@@ -32,3 +34,20 @@ def test_recordings_on_one_clock_stay_as_they_are():
     logs = [lasting(300, 1_795_000_000.0), lasting(20, 1_795_000_400.0)]
     kept = in_sequence(logs)
     assert all(one is other for one, other in zip(kept, logs, strict=True))
+
+
+def test_recordings_that_say_when_they_were_made_share_that_clock(tmp_path):
+    """A clock of Unix time begins anew in each file; what changed in one has changed after it."""
+    began = 1_795_000_000.25
+    for name, start in (("late", began + 400.0), ("early", began)):
+        rows = pd.DataFrame({"t": start + np.arange(30.0), "x": np.arange(30.0), "u": 1.0})
+        rows.to_csv(tmp_path / f"{name}.csv", index=False)
+    logs = [read_recording(tmp_path / f"{name}.csv") for name in ("late", "early")]
+    assert all(one.t[0] == 0.25 for one in logs) and has_calendar(logs)
+    late, early = on_one_clock(logs)
+    assert float(early.t[0]) == pytest.approx(0.25) and float(late.t[0]) == pytest.approx(400.25)
+    assert late.read.epoch == early.read.epoch
+    mixed = [*logs, lasting(20, 0.0)]
+    assert not has_calendar(mixed) and all(
+        one is other for one, other in zip(on_one_clock(mixed), mixed, strict=True)
+    )

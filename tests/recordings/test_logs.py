@@ -203,6 +203,25 @@ def test_bags_of_both_ros_are_read_turned_and_joined(bag, mapped, kind):
     assert "psi from pose.pose.orientation.yaw" in told and "sha256" in run.provenance[0]
 
 
+def test_orders_are_neither_late_nor_early_on_the_clock_of_other_topics(bag, mapped):
+    """Held from the next row on they would be 0.05 s late on average; a hole of the clock stays."""
+    make = Messages("mcap")
+    given = np.arange(0.0, 40.0, 0.137)
+    clock = np.r_[np.arange(0.0, 20.0, 0.1), np.arange(30.0, 40.0, 0.1)]
+    messages = [("/plain", float(t), make.number(k)) for k, t in enumerate(given)]
+    messages += [("/stamped", float(t), make.imu(float(t), 0.1)) for t in clock]
+    path = bag(sorted(messages, key=lambda one: one[1]))
+    columns = '[columns]\nr = "/stamped:angular_velocity.z"\ncmd_a = "/plain:data"\n'
+    run = mapped(path, f'[file]\nclock = "/stamped"\n{columns}')
+    order = np.asarray(run.commanded["a"])
+    new = np.flatnonzero(np.diff(order) != 0) + 1
+    late = np.asarray(run.t)[new] - given[order[new].astype(int)]
+    inside = np.abs(np.asarray(run.t)[new] - 30.0) > 0.01
+    assert abs(np.mean(late[inside])) < 0.005 and np.max(np.abs(late[inside])) <= 0.0501
+    before_the_hole = order[np.searchsorted(np.asarray(run.t), 20.0) - 1]
+    assert given[int(before_the_hole)] < 20.0
+
+
 def test_clocks_are_header_stamps_receive_times_or_what_the_mapping_says(bag, mapped):
     make = Messages("mcap")
     messages = []
@@ -219,7 +238,7 @@ def test_clocks_are_header_stamps_receive_times_or_what_the_mapping_says(bag, ma
     np.testing.assert_allclose(run.commanded["a"], [np.nan, *range(9)])
     assert any("/plain: 10 samples by receive time" in note for note in run.provenance)
     run = mapped(path, '[file]\nstamps = "receive"\n' + text)
-    np.testing.assert_allclose(run.commanded["a"], [np.nan, *range(9)])
+    np.testing.assert_allclose(run.commanded["a"], range(10))  # each 0.2 s after the nearest row
     assert any("/stamped: 10 samples by receive time" in note for note in run.provenance)
     run = mapped(path, '[columns]\nr = "/unset:angular_velocity.z"\n')
     assert any("header stamps not set in 10 of 10" in note for note in run.provenance)
@@ -919,7 +938,8 @@ def test_faster_channels_on_a_slower_clock_and_angles_across_north():
     channels = {"psi": LogChannel("a", t, wrapped), "cmd_a": LogChannel("b", t, t)}
     values, _ = join_channels(channels, rows, False, "run")
     np.testing.assert_allclose(values["psi"], [3.015, 3.315, np.nan])
-    np.testing.assert_allclose(values["cmd_a"], [0, 1, 1.9])
+    # In force halfway to the next row: a row stands for what is around it.
+    np.testing.assert_allclose(values["cmd_a"], [0.5, 1.5, 1.9])
 
 
 def test_delays_move_stamps_and_repeated_stamps_become_one(dataflash, mapped):

@@ -70,9 +70,13 @@ def _by_mapping(
 
 
 def commands_after_diagnosis(
-    args: argparse.Namespace, folder: pathlib.Path, record: dict[str, Any]
+    args: argparse.Namespace, folder: pathlib.Path, record: dict[str, Any], in_order: bool = False
 ) -> list[str]:
-    """What to do after a diagnosis that wrote into a folder: first put right how logs are read."""
+    """What to do after a diagnosis that wrote into a folder: first put right how logs are read.
+
+    Arguments:
+        in_order: whether the recordings were on one clock.
+    """
     from diffsea.report.wording.findings import misread_sentences
     from diffsea.report.wording.words import named_effects
 
@@ -84,16 +88,18 @@ def commands_after_diagnosis(
             shlex.join([*words, "--repair", "-o", str(repaired)]),
             f"and diagnose what it writes into {repaired}, the same runs held out",
         ]
+    lines = []
     if named_effects(record):
-        return [f"diffsea predict {shlex.quote(str(folder / 'vessel.toml'))} ANOTHER_RUN"]
-    strongest = next((one for one in record["where"] if not one["in_regime"]), None)
-    recorded = len(args.recordings) + len(args.test)
-    if strongest is None or recorded < 2 or args.one_after_another:
-        return []
-    return [
-        "the same with --one-after-another, if the recordings were made in this order:",
-        f"what changed in one ({strongest['recording']}?) may have stayed so after it",
-    ]
+        lines.append(f"diffsea predict {shlex.quote(str(folder / 'vessel.toml'))} ANOTHER_RUN")
+    several = len(args.recordings) + len(args.test) > 1
+    if several and not in_order and record["verdict"] == "unexplained":
+        strongest = next((one for one in record["where"] if not one["in_regime"]), None)
+        perhaps = "" if strongest is None else f" ({strongest['recording']}?)"
+        lines += [
+            "the same with --one-after-another, if the recordings were made in this order:",
+            f"what changed in one{perhaps} may have stayed so after it",
+        ]
+    return lines
 
 
 def read_so(args: argparse.Namespace) -> list[str]:

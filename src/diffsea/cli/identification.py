@@ -320,5 +320,5 @@ def diagnose_command(args: argparse.Namespace) -> None:
             out.json("diagnosis.json", found.record)
             out.text("vessel.toml", dump(found.diagnosed.document))
             out.text("report.html", found.html())
-    following = commands_after_diagnosis(args, out.folder, found.record)
+    following = commands_after_diagnosis(args, out.folder, found.record, found.in_order)
     out.present(args, verdict_text(found.record), following)

@@ -48,6 +48,20 @@ def cut_between(trajectory: Trajectory, start: float | None, end: float | None) 
     return cut(trajectory, first if start is None else start, last if end is None else end)
 
 
+def has_calendar(recordings: Sequence[Trajectory]) -> bool:
+    """Whether all recordings say when they were made, so that their clocks are one."""
+    return all(run.read.epoch is not None for run in recordings)
+
+
+def on_one_clock(recordings: Sequence[Trajectory]) -> list[Trajectory]:
+    """Recordings that say when they were made, on the clock of the earliest; others as they are."""
+    epochs = [run.read.epoch for run in recordings]
+    known = [epoch for epoch in epochs if epoch is not None]
+    if not known or len(known) < len(epochs):
+        return list(recordings)
+    return [_moved(run, epoch - min(known)) for run, epoch in zip(recordings, known, strict=True)]
+
+
 def in_sequence(recordings: Sequence[Trajectory]) -> list[Trajectory]:
     """Recordings on one clock, each after the ones before it: what changed in one has changed.
 
@@ -59,13 +73,19 @@ def in_sequence(recordings: Sequence[Trajectory]) -> list[Trajectory]:
         return list(recordings)
     longest = max(float(run.t[-1] - run.t[0]) for run in recordings)
     room = 10.0 ** (math.floor(math.log10(max(longest, 1.0))) + 1)
+    return [_moved(run, k * room - float(run.t[0])) for k, run in enumerate(recordings)]
 
-    def moved(run: Trajectory, shift: float) -> Trajectory:
-        note = f"moved by {shift:+.6g} s on the clock, to follow the recordings before it"
-        t = np.asarray(run.t, float) + shift
-        return dataclasses.replace(run, t=t, provenance=(*run.provenance, note))
 
-    return [moved(run, k * room - float(run.t[0])) for k, run in enumerate(recordings)]
+def _moved(run: Trajectory, shift: float) -> Trajectory:
+    """The same run later by so much (s) on its clock."""
+    epoch = None if run.read.epoch is None else run.read.epoch - shift
+    note = f"moved by {shift:+.10g} s on the clock, which other recordings share"
+    return dataclasses.replace(
+        run,
+        t=np.asarray(run.t, float) + shift,
+        read=dataclasses.replace(run.read, epoch=epoch),
+        provenance=(*run.provenance, note),
+    )
 
 
 def thin(trajectory: Trajectory, interval: float) -> Trajectory:

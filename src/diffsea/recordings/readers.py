@@ -326,10 +326,10 @@ def _assemble(
         )
         repeated_times = (*repeated_times, RowsLeftOut(repeated.size, note))
         notes.append(note)
-    if time.size and time[0] > _EPOCH:
-        zero = math.floor(time[0])
-        notes.append(f"times count from {zero} s on the file's clock, the first row's second")
-        time = time - zero
+    epoch = float(math.floor(time[0])) if time.size and time[0] > _EPOCH else None
+    if epoch is not None:
+        notes.append(f"times count from {epoch:.0f} s on the file's clock, the first row's second")
+        time = time - epoch
     table = pd.DataFrame({channel: series[~empty] for channel, series in values.items()})
     table = table.groupby(time).last()
     if len(table) < 2:
@@ -348,7 +348,7 @@ def _assemble(
         valid=np.ones(time.shape, dtype=bool),
         name=name,
         provenance=tuple(notes),
-        read=ReadReport(empty_rows, repeated_times),
+        read=ReadReport(empty_rows, repeated_times, epoch=epoch),
     )
 
 

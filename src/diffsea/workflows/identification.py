@@ -35,7 +35,7 @@ from diffsea.parameters import Parameter
 from diffsea.progress import Progress, Remark, counted, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.recordings.auditing.actuators import stale_feedback
-from diffsea.recordings.conditioning import in_sequence
+from diffsea.recordings.conditioning import has_calendar, in_sequence, on_one_clock
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.fit import compare_fit
 from diffsea.report.predictions import ComparedRun, compare, horizon_table
@@ -281,7 +281,8 @@ class DiagnosisResult(Tabulated):
     """What a vessel's model leaves out.
 
     `record` is the content of diagnosis.json; `nominal` and `diagnosed` are the vessel as fitted
-    before and after what was found; `experiment` is the manoeuvre that would tell more.
+    before and after what was found; `experiment` is the manoeuvre that would tell more; `in_order`
+    says whether the recordings were put on one clock.
     """
 
     record: dict[str, Any]
@@ -290,6 +291,7 @@ class DiagnosisResult(Tabulated):
     diagnosed: VesselFile
     predicted: list[ComparedRun]
     experiment: Experiment | None
+    in_order: bool = False
 
     @property
     def verdict(self) -> str:
@@ -379,7 +381,8 @@ def diagnose(
         keep_idle: as for `fit`.
         one_after_another: whether the recordings, and then those held out, were made in this order:
             they share one clock then, and a change in one of them stays in those after it. The
-            vessel is returned as it was in the end.
+            vessel is returned as it was in the end. Recordings that all say when they were made
+            share that clock without it.
 
     Raises:
         UserError: recordings that cannot be read or do not suit the vessel.
@@ -391,11 +394,14 @@ def diagnose(
             as_used_recordings(some, mapping, keep_idle, progress) for some in (recordings, test)
         )
         require_order_units(file.vessel, [*runs, *held_out])
-        if one_after_another:
-            whole = in_sequence([*runs, *held_out])
+        whole = [*runs, *held_out]
+        in_order = one_after_another or has_calendar(whole)
+        if in_order:
+            whole = in_sequence(whole) if one_after_another else on_one_clock(whole)
             runs, held_out = whole[: len(runs)], whole[len(runs) :]
             begin = (f"{run.name} at {run.t[0]:.6g} s" for run in whole)
-            progress(Remark(f"one after another on one clock: {', '.join(begin)}"))
+            how = "one after another" if one_after_another else "by the times of their files"
+            progress(Remark(f"{how} on one clock: {', '.join(begin)}"))
         progress(f"checking {counted(len(runs) + len(held_out), 'recording')} for faults")
         audited = list(audit([*runs, *held_out]))
         audited += [one for run in (*runs, *held_out) for one in unit_findings(file.vessel, run)]
@@ -429,7 +435,7 @@ def diagnose(
         progress("comparing predictions")
         documents = (
             nominal_document(file.document, found),
-            vessel_document(file.document, found, in_the_end=one_after_another),
+            vessel_document(file.document, found, in_the_end=in_order),
         )
         nominal, diagnosed = (VesselFile(build(one), one, file.path) for one in documents)
         predicted = []
@@ -443,4 +449,4 @@ def diagnose(
         complete = record["complete"] and not left.left_out
         record |= {"complete": complete, "left_out": list(left.left_out)}
         record |= {"not_done": list(not_done)} if not_done else {}
-        return DiagnosisResult(record, found, nominal, diagnosed, predicted, experiment)
+        return DiagnosisResult(record, found, nominal, diagnosed, predicted, experiment, in_order)

@@ -363,8 +363,10 @@ def join_channels(
     instant along the straight line to its neighbour; other rows stay NaN. So a slow sensor
     counts as often as it measured. Across more than three of a channel's own intervals, and
     beyond its ends, there is no line, and a sample that only such rows surround is left out.
-    Actuation holds from its time stamp on. With `turn`, u and v are velocities north and east
-    and are turned into body axes by the heading, interpolated in the same way.
+    Orders hold from the row nearest to their time stamp on: from the next row on they would be
+    late by half an interval, and the vessel would seem to answer early. Executed actuation holds
+    from its stamp on. With `turn`, u and v are velocities north and east and are turned into body
+    axes by the heading, interpolated in the same way.
 
     Raises:
         UserError: a channel shares no time with the rows; the message begins with `where`.
@@ -383,7 +385,8 @@ def join_channels(
         finite = np.isfinite(channel.values)
         t, known = channel.t[finite], channel.values[finite]
         if is_held(name):
-            values[name] = hold_at(t, known, rows)
+            ordered = name.startswith("cmd_")
+            values[name] = hold_at(t, known, _until_halfway(rows) if ordered else rows)
             continue
         lines[name], there = np.full(rows.shape, np.nan), np.zeros(rows.shape, dtype=bool)
         if t.size > 1:
@@ -402,6 +405,15 @@ def join_channels(
         values |= {"u": body.real, "v": body.imag}
         notes.append("u and v turned from earth into body axes by the heading")
     return values, notes
+
+
+def _until_halfway(rows: Rows) -> Rows:
+    """The times (s) up to which a row is the nearest, looking ahead.
+
+    A hole of the clock is no row: half a usual interval after the row before it.
+    """
+    step = np.diff(rows, append=np.inf)
+    return rows + 0.5 * np.minimum(step, median_interval(rows) if rows.size > 1 else 0.0)
 
 
 def _nearest_rows(
