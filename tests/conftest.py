@@ -30,9 +30,12 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def forget_compiled():
+def forget_compiled(request):
     """Compiled programs end with their module: LLVM crashes where a process maps too many."""
+    seldom_run = request.node.get_closest_marker("compiles") is not None
+    jax.config.update("jax_disable_most_optimizations", seldom_run)
     yield
+    jax.config.update("jax_disable_most_optimizations", False)
     jax.clear_caches()
 
 

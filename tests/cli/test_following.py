@@ -69,6 +69,16 @@ def test_the_ship_that_is_proposed_takes_the_largest_order(tmp_path):
     assert read_vessel(boat).vessel.servos["propeller"].upper == pytest.approx(2.35)
 
 
+def test_logs_of_a_boat_whose_shaft_turned_at_other_speeds_are_of_one_boat():
+    """The boat that is proposed has a shaft as fast as in any of them."""
+    slow, fast = (log(("rudder", "propeller"), "own") for _ in range(2))
+    fast.run.commanded["propeller"] = 2.0 * fast.run.commanded["propeller"]
+    logs = [(pathlib.Path("a.csv"), slow), (pathlib.Path("b.csv"), fast)]
+    mapping = pathlib.Path("ship.mapping.toml")
+    new, diagnose = following_commands(NO_SPAN, logs, dict.fromkeys(dict(logs), mapping))
+    assert new.endswith("--hull ship --shaft-speed 4.69") and "a.csv b.csv" in diagnose
+
+
 def test_a_boat_that_no_drive_fits_is_left_alone():
     checked = [(pathlib.Path("a.csv"), log(("thrust", "rudder")))]
     assert following_commands(NO_SPAN, checked, {}) == []

@@ -35,6 +35,9 @@ from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.compiles
+
+
 USV, BOAT = load(ORACLE / "usv.toml"), load(ORACLE / "boat.toml")
 # A modulus |r| r has a jump in its second derivative where the yaw rate changes sign, which
 # costs any Runge-Kutta step its order; a cubic is as steep and smooth.

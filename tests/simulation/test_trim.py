@@ -22,6 +22,9 @@ from diffsea.simulation.control import (
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.compiles
+
+
 SPEED = 1.5
 WIND = {"name": "wind", "speed": 7.0, "direction": 1.1, "frontal_area": 2.0, "lateral_area": 5.0}
 CURRENT = {"name": "current", "speed": 0.3, "direction": 2.3}

@@ -13,7 +13,7 @@ from diffsea.studies.inverse import APART, MET, designs_for, found_sentence, nea
 from diffsea.vessel.files import build
 
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.compiles]
 
 RANGES = {"mass": (120.0, 260.0), "N_r": (-500.0, -150.0)}
 ORDERED = {"speed": 1.2, "executes": 2, "step": 0.1}

@@ -15,6 +15,9 @@ from diffsea.studies.parts import read_parts
 from diffsea.studies.sweep import Sweeper
 
 
+pytestmark = pytest.mark.compiles
+
+
 ORDERED = ["--manoeuvre", "zigzag", "--executes", "2", "--step", "0.1"]
 GRID = ["--grid", "mass=-190:230:3", "N_r=-300:60000:2", "I_z=300:3000:2", "--part", "4"]
 

@@ -17,7 +17,7 @@ from diffsea.studies.sensitivity import TrialSensitivities, parameter_names
 from diffsea.vessel.files import build
 
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.compiles]
 
 
 ORDERED = ["--manoeuvre", "zigzag", "--speed", "1.3", "--angle", "15", "--heading", "10"]

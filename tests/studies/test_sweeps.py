@@ -24,7 +24,7 @@ ORDERED = ["--manoeuvre", "zigzag", "--executes", "2", "--step", "0.1"]
 GRID = ["speed=1.0:1.4:2", "mass=-190:230:3", "N_r=-300:60000:2", "I_z=300:3000:2"]
 AXES = ["speed", "mass", "N_r", "I_z"]
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_cache")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_cache"), pytest.mark.compiles]
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from diffsea.scales import HARD_OVER
 from diffsea.workflows.campaigns import CampaignResult, CampaignTrial
 
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.compiles]
 
 # Port and starboard thrust as 1.2 to 0.8 at the same order, so that both sides differ.
 UNEVEN = BOAT + '\n[[effect]]\nname = "thrust-asymmetry"\nratio = -0.2\n'

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     Checked = tuple[pathlib.Path, LogCheck]
 
 
+_PROPELLED = "--hull ship"  # a propeller's shaft, ordered in rev/s, and a rudder
+
+
 def following_commands(
     args: argparse.Namespace,
     checked: "Sequence[Checked]",
@@ -40,8 +43,7 @@ def following_commands(
     lines: list[str] = []
     boats: dict[str, str] = {}
     for logs in alike.values():
-        first, one = logs[0]
-        new = _new_boat(one, first)
+        new = _new_boat(logs)
         if not new:
             continue
         boat = boats.setdefault(new, f"boat{len(boats) + 1 if boats else ''}.toml")
@@ -114,11 +116,17 @@ def reading_options(args: argparse.Namespace) -> list[str]:
     return [word for key, end in ends.items() if end is not None for word in (key, f"{end:g}")]
 
 
-def _new_boat(one: "LogCheck", path: pathlib.Path) -> str:
-    """The options by which `diffsea new` makes a vessel that takes a log's orders, or nothing."""
+def _new_boat(logs: "Sequence[Checked]") -> str:
+    """The options by which `diffsea new` makes a vessel that takes the orders of logs, or nothing.
+
+    Logs of one boat; a shaft turns as fast as in any of them.
+    """
+    path, one = logs[0]
     drive = _drive(one)
     log = f" --log {shlex.quote(str(path))}" if one.log.startswith("ardupilot") else ""
-    return f"--length M --beam M --mass KG {drive}{log}" if drive else ""
+    fastest = max((_largest_order(each, "propeller") for _, each in logs), default=0.0)
+    shaft = f" --shaft-speed {_rounded_up(fastest):g}" if fastest and _PROPELLED in drive else ""
+    return f"--length M --beam M --mass KG {drive}{shaft}{log}" if drive else ""
 
 
 def _drive(one: "LogCheck") -> str:
@@ -129,21 +137,20 @@ def _drive(one: "LogCheck") -> str:
         return f"--thrusters M{unit}"
     if orders == {"rudder", "motor"}:
         return f"--rudder{unit}"
-    if orders not in ({"rudder", "propeller"}, {"rudder"}):
-        return ""
-    largest = _largest_order(one, "propeller")
-    return f"--hull ship --shaft-speed {largest}" if largest else "--hull ship"
+    return _PROPELLED if orders in ({"rudder", "propeller"}, {"rudder"}) else ""
 
 
-def _largest_order(one: "LogCheck", channel: str) -> str:
-    """The largest size of an order, rounded up to three digits; empty where there is none."""
+def _largest_order(one: "LogCheck", channel: str) -> float:
+    """The largest size of an order; zero where there is none."""
     orders = (one.run.commanded or one.run.executed).get(channel)
     sizes = [] if orders is None else [abs(order) for order in orders.tolist()]
-    largest = max((size for size in sizes if math.isfinite(size)), default=0.0)
-    if largest == 0.0:
-        return ""
-    last = 10.0 ** (math.floor(math.log10(largest)) - 2)
-    return f"{math.ceil(largest / last - 1e-9) * last:g}"
+    return max((size for size in sizes if math.isfinite(size)), default=0.0)
+
+
+def _rounded_up(size: float) -> float:
+    """To three digits."""
+    last = 10.0 ** (math.floor(math.log10(size)) - 2)
+    return math.ceil(size / last - 1e-9) * last
 
 
 def _unit_option(one: "LogCheck") -> str:

@@ -40,6 +40,7 @@ _FASTEST = 30.0  # rev/s of a propeller: beyond, the numbers are rpm
 _ANSWERED, _REVERSED = 0.9, 0.5
 _MOMENT = 0.005  # of a run, in which a column that stands does not move
 _STILL = 0.02  # of its range, that noise may move it then
+_ENGINE = {"engine", "eng"}
 _ROTATING = {"rpm", "rps", "n", "propeller", "prop", "shaft", "drehzahl", "revs"}
 
 
@@ -211,6 +212,8 @@ def _actuator(
             unit = "deg" if largest > _LARGEST_RADIANS else "rad"
         elif role == "propeller" and suggestion.unit != "?" and _ROTATING & set(suggestion.words):
             unit = "rpm" if largest > _FASTEST else "rev/s"
+    if unit in ("rpm", "rev/s") and _ENGINE & set(suggestion.words):
+        reason += "; revolutions of an engine: behind a gear the shaft's need scale = 1 / reduction"
     role = "motor" if role == "propeller" and is_share else role
     return ActuatorColumn(column, role, sure * chance, unit, ordered, reason, push)
 
