@@ -12,6 +12,9 @@ from jaxtyping import Bool, Float, Inexact
 from diffsea.trajectory import Samples
 
 
+CALENDAR = 1e8  # s: a clock that has run for three years counts from a calendar's epoch
+
+
 def median_interval(t: Samples) -> float:
     """Median time step (s) of time stamps, repeated ones included."""
     return float(np.median(np.diff(t)))

@@ -444,6 +444,9 @@ def test_names_of_logs_are_understood():
     assert {name: suggest_labels(name).best for name in found} == found
     assert suggest_labels("yaw_rate_deg_s").unit == "deg/s"
     assert suggest_labels("torque [Nm]").unit == "?" and suggest_labels("speed (kn)").unit == "kn"
+    assert (
+        suggest_labels("Eng RPM").best == suggest_labels("Engine speed [rpm]").best == "propeller"
+    )
     assert suggest_labels("rudder_cmd").ordered is True
     assert suggest_labels("rudder_actual").ordered is False
 

@@ -43,11 +43,10 @@ from diffsea.recordings.tables import (
     numeric_column,
     read_table,
 )
-from diffsea.series import hold_at, hold_last, unwrap
+from diffsea.series import CALENDAR, hold_at, hold_last, unwrap
 from diffsea.trajectory import MOTION_CHANNELS, ReadReport, RowsLeftOut, Samples, Trajectory
 
 
-_EPOCH = 1e8  # s: a clock that has run for three years counts from an epoch
 _LONGEST_NAME = 40  # letters, of a column in a message
 _MOST_NAMES = 40  # of columns in a message
 _SAMPLED_TOGETHER = (("latitude", "longitude"), ("x", "y"), ("u", "v"), ("psi",), ("r",))
@@ -127,10 +126,9 @@ def _read_whole(source: str | Path | pd.DataFrame, mapping: Mapping | None) -> T
     told = (known.sentence, *known.others, *known.missing) if known else ()
     notes = [f"read {path.name}, sha256 {content_digest(path)}", *through, *told, *log.notes]
     run = _assemble(log.values, str(path), 1, notes, path.name, log.repeated_times)
-    return dataclasses.replace(
-        run,
-        read=dataclasses.replace(run.read, recognised=told, rates=log.rates, cut_off=log.cut_off),
-    )
+    read = dataclasses.replace(run.read, recognised=told, rates=log.rates, cut_off=log.cut_off)
+    epoch = run.read.epoch if log.epoch is None else log.epoch
+    return dataclasses.replace(run, read=dataclasses.replace(read, epoch=epoch))
 
 
 def _with_constants(run: Trajectory, mapping: Mapping) -> Trajectory:
@@ -326,7 +324,7 @@ def _assemble(
         )
         repeated_times = (*repeated_times, RowsLeftOut(repeated.size, note))
         notes.append(note)
-    epoch = float(math.floor(time[0])) if time.size and time[0] > _EPOCH else None
+    epoch = float(math.floor(time[0])) if time.size and time[0] > CALENDAR else None
     if epoch is not None:
         notes.append(f"times count from {epoch:.0f} s on the file's clock, the first row's second")
         time = time - epoch

@@ -112,6 +112,7 @@ class LogChannels(NamedTuple):
         repeated_times: of every topic that had such.
         rates: samples per second, by channel.
         cut_off: that the file ends within a message, in words.
+        epoch: s since 1970 at which `t` is zero; None where the log does not say.
     """
 
     values: dict[str, Samples]
@@ -119,6 +120,7 @@ class LogChannels(NamedTuple):
     repeated_times: tuple[RowsLeftOut, ...]
     rates: dict[str, float]
     cut_off: str = ""
+    epoch: float | None = None
 
 
 def is_log(path: Path) -> bool:
@@ -175,7 +177,8 @@ def read_log(path: Path, mapping: Mapping | None) -> LogChannels:
     rates = {name: channel.rate for name, channel in channels.items()}
     repeated = tuple(one for one in merged if one)
     cut_off = next((one.cut_off for one in streams.values() if one.cut_off), "")
-    return LogChannels({"t": clock.t} | values, [*notes, *lost], repeated, rates, cut_off)
+    channels_on_it = {"t": clock.t} | values
+    return LogChannels(channels_on_it, [*notes, *lost], repeated, rates, cut_off, clock.epoch)
 
 
 def _check_columns(

@@ -15,6 +15,7 @@ from diffsea.recordings.logs.chunks import check_chunks
 from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, unreadable
 from diffsea.recordings.mappings import Mapping
 from diffsea.recordings.rotations import ANGLES, angles_in, quaternions_in
+from diffsea.series import CALENDAR
 
 
 _MOST_VALUES = 10_000  # of a message, those of arrays of numbers counted as one
@@ -74,8 +75,11 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     zero = min((int(stamps[0]) for stamps, *_ in stamped.values() if stamps.size), default=0)
     day = np.datetime64(zero, "ns").astype("datetime64[ms]")
     origin = f"from {zero / 1e9:.9f} s ({day} UTC)"
+    epoch = zero * 1e-9 if zero * 1e-9 > CALENDAR else None
     return {
-        topic: Stream(topic, (stamps - zero) * 1e-9, fields, f"{clock}, {origin}", notes)
+        topic: Stream(
+            topic, (stamps - zero) * 1e-9, fields, f"{clock}, {origin}", notes, epoch=epoch
+        )
         for topic, (stamps, fields, clock, notes) in stamped.items()
     }
 

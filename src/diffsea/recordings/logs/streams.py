@@ -38,6 +38,7 @@ class Stream:
         unfit: fields that cannot be used, and why.
         repeated_times: what `merge_repeated_times` made one.
         cut_off: that the file ends within a message, in words; empty where it does not.
+        epoch: s since 1970 at which its times are zero; None where the file does not say.
     """
 
     topic: str
@@ -48,6 +49,7 @@ class Stream:
     unfit: dict[str, str] = dataclasses.field(default_factory=dict)
     repeated_times: RowsLeftOut | None = None
     cut_off: str = ""
+    epoch: float | None = None
 
     @property
     def title(self) -> str:
