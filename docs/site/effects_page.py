@@ -299,8 +299,8 @@ KEY_UNITS = {"frontal_area": "m^2", "lateral_area": "m^2"}  # of keys that are n
 # Which vessels are asked whether they have it, where not all are.
 _KIND = "those with such channels."
 VESSELS = {
-    "hard-iron": "`hard-iron:estimated` and `hard-iron:motors`, those with thrusters, whose motors "
-    "are electric.",
+    "hard-iron": "`hard-iron:motors`, those with thrusters, whose motors are electric; "
+    "`hard-iron:estimated` those, and others where the audit found it.",
     "wind": "`wind:coefficients`, those whose file has no `wind` yet; and not with an environment "
     "per recording.",
     "shallow-water": "refused for a depth up to the draught.",

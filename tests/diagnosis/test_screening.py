@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from tests.diagnosis.small import candidate, still_problem, still_run, usv
 
-from diffsea import EFFECTS
+from diffsea import EFFECTS, read_vessel
+from diffsea.diagnosis.audited import names_found
 from diffsea.diagnosis.score import NullDistribution, ScoreTest
 from diffsea.diagnosis.screening import (
     Screening,
@@ -27,6 +28,7 @@ from diffsea.identification.coordinates import (
     expansion_points,
 )
 from diffsea.identification.data.dataset import merge_spans
+from diffsea.recordings import Finding
 
 
 NULL = NullDistribution(np.linspace(0.0, 1.0, 100))
@@ -100,6 +102,19 @@ def test_the_reverse_of_a_secant_counts_where_there_is_one_only():
 def test_a_superstructure_is_not_asked_for_where_each_run_has_a_wind_of_its_own(boat):
     names = lambda per_run: {e.name for e in candidate_effects(boat, [still_run(boat)], per_run)}
     assert names(False) - names(True) == {"wind:coefficients"}
+
+
+def test_what_seldom_is_is_asked_where_an_audit_found_it():
+    """A heading turns velocities with it on a ship, too, where a receiver's were turned by it."""
+    ship = read_vessel("mariner").vessel
+    iron = {"amplitude": 0.15, "phase": 0.5, "time_constant": 0.0}
+    finding = Finding("hard-iron", 0.15, 0.004, "rad", "", "", ("psi", "u", "v"), iron, "a.csv")
+    names = lambda found: {e.name for e in candidate_effects(ship, [still_run(ship)], found=found)}
+    assert names_found([finding]) == {"hard-iron:estimated"}
+    assert names(names_found([finding])) - names(()) == {"hard-iron:estimated"}
+    doubtful = dataclasses.replace(finding, doubt="wind does the same")
+    alone = dataclasses.replace(finding, channels=("psi",))
+    assert names_found([doubtful, alone]) == set()
 
 
 def test_heel_is_a_candidate_only_where_it_was_recorded(boat):

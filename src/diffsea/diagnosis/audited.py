@@ -6,6 +6,7 @@ blamed, and asked no more than that the model agrees.
 """
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -44,23 +45,11 @@ def audited_effects(
 ) -> list[AuditedEffect]:
     """The effects of a layout that an audit of so many runs found, most often found first.
 
-    A finding that may have another cause (it has a `doubt`) is no first hypothesis; nor is one of
-    measured actuation, of which an actuator that is off itself looks the same.
+    A finding that may have another cause (it has a `doubt`) is no first hypothesis.
     """
     found: dict[str, dict[str, np.ndarray]] = {}
     for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
-        if effect.family != "sensor" or effect.needs_feedback:
-            continue
-        if isinstance(effect.place, TurnedByMotors):
-            continue  # known by the largest thrust of a run, not by the full one
-        for finding in findings:
-            channels = isinstance(effect.place, MeasuredChannels) and effect.place.names
-            if finding.kind != catalogue_name(effect.name) or finding.doubt:
-                continue
-            if set(finding.parameters) != set(effect.units):
-                continue  # of a variant
-            if channels and set(channels) != set(finding.channels):
-                continue
+        for finding in filter(functools.partial(_shows, effect), findings):
             at = np.array(effect.encode(vessel, finding.parameters)) / sizes
             found.setdefault(effect.name, {})[finding.recording] = at
     out = []
@@ -69,6 +58,26 @@ def audited_effects(
         if middle is not None:
             out.append(AuditedEffect(name, middle))
     return out
+
+
+def names_found(findings: Sequence[Finding]) -> set[str]:
+    """Names of the catalogue, with their variants, that an audit points at without a doubt."""
+    return {e.name for e in EFFECTS.values() if any(_shows(e, finding) for finding in findings)}
+
+
+def _shows(effect: Effect, finding: Finding) -> bool:
+    """Whether a finding is of this very effect, of its variant and channels, without a doubt.
+
+    Not of measured actuation, of which an actuator that is off itself looks the same; nor of what
+    motors do, which is known by the largest thrust of a run, not by the full one.
+    """
+    is_sensor = effect.family == "sensor" and not effect.needs_feedback
+    if not is_sensor or isinstance(effect.place, TurnedByMotors):
+        return False
+    channels = isinstance(effect.place, MeasuredChannels) and effect.place.names
+    alike = finding.kind == catalogue_name(effect.name) and not finding.doubt
+    alike = alike and set(finding.parameters) == set(effect.units)
+    return alike and (not channels or set(channels) == set(finding.channels))
 
 
 def _common_size(

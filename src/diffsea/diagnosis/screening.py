@@ -7,7 +7,7 @@ found is absent only as far as the smallest sizes that the data could have shown
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
@@ -52,19 +52,26 @@ NO_INFORMATION = 1e-12  # in standard errors of a prior size, squared and invert
 
 
 def candidate_effects(
-    vessel: Vessel, recordings: list[Trajectory], per_run: bool = False
+    vessel: Vessel,
+    recordings: list[Trajectory],
+    per_run: bool = False,
+    found: Collection[str] = (),
 ) -> tuple[Effect, ...]:
     """Effects of the catalogue that this vessel could have and its model lacks.
 
     What recordings would have to show and do not (heel, what actuators executed) leaves an effect
     out. So do coefficients of the vessel's own that come with an environment, where each run has
     its own.
+
+    Arguments:
+        found: names of those that an audit points at; they need not be usual for such a vessel.
     """
 
     return tuple(
         effect
         for effect in EFFECTS.values()
         if effect.possible(vessel)
+        and (effect.usual(vessel) or effect.name in found)
         and not missing_channel(effect, vessel, recordings)
         and not (per_run and effect.per_run and effect.has_coefficients)
     )

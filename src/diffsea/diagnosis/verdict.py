@@ -4,7 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from diffsea.budget import current_budget
-from diffsea.diagnosis.audited import AuditedEffect, audited_effects, judge_audited
+from diffsea.diagnosis.audited import (
+    AuditedEffect,
+    audited_effects,
+    judge_audited,
+    names_found,
+)
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, NO_BOOTSTRAP, Bootstrap, bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect
 from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
@@ -92,7 +97,8 @@ def diagnose(
         )
     free = free_by_default(vessel) if free is None else free
     test = test or []
-    effects = candidate_effects(vessel, [*recordings, *test], per_run)
+    whole = [*recordings, *test]
+    effects = candidate_effects(vessel, whole, per_run, names_found(findings))
 
     def problem_of(runs: list[Trajectory], least: DatasetShape) -> Problem:
         return make_problem(vessel, runs, free, effects, per_run, priors, least=least)

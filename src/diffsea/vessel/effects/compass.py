@@ -225,7 +225,7 @@ def hard_iron(vessel: Vessel, at: CoordinateValues) -> Vessel:
     phrase="a compass error of {amplitude} that changes with heading, behind an estimator that "
     "follows it within {time_constant} and turns the velocities with it",
     confusables=("current", "heading-offset", "wind"),
-    possible=lambda vessel: bool(_motors(vessel)),
+    usual=lambda vessel: bool(_motors(vessel)),
     parametrisation=_OF_ESTIMATE,
     place=MeasuredChannels(_TURNED),
     nearly=True,

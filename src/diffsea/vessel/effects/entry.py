@@ -111,6 +111,8 @@ class Effect:
     mirror: str = ""  # the entry that this would be, were its leading size negative
     nearly: bool = False  # whether it is a law that holds but nearly, as of hull and actuators
     parts: tuple[str, ...] = ()  # names of those that it is where some of its amounts are zero
+    # Whether it is asked of a vessel though nothing points at it; else only where an audit does.
+    usual: Callable[[Vessel], bool] = lambda vessel: True
 
     @property
     def is_law(self) -> bool:
