@@ -222,6 +222,15 @@ def test_orders_are_neither_late_nor_early_on_the_clock_of_other_topics(bag, map
     assert given[int(before_the_hole)] < 20.0
 
 
+def test_a_bag_says_when_it_was_made(bag, mapped):
+    """Its own times begin at zero; two bags can be put on one clock by their epochs."""
+    make = Messages("mcap")
+    path = bag([("/stamped", t, make.imu(t, 0.1)) for t in 5.5 + np.arange(10.0)])
+    run = mapped(path, '[columns]\nr = "/stamped:angular_velocity.z"\n')
+    assert run.t[0] == pytest.approx(0.0, abs=1e-6)
+    assert run.read.epoch == pytest.approx(EPOCH / SECOND + 5.5, abs=1e-3)
+
+
 def test_clocks_are_header_stamps_receive_times_or_what_the_mapping_says(bag, mapped):
     make = Messages("mcap")
     messages = []
