@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from diffsea import Trajectory, read_recording
-from diffsea.recordings.conditioning import has_calendar, in_sequence, on_one_clock
+from diffsea.recordings.conditioning import in_sequence, on_one_clock, share_a_calendar
 
 
 def lasting(seconds, start) -> Trajectory:
@@ -43,11 +43,12 @@ def test_recordings_that_say_when_they_were_made_share_that_clock(tmp_path):
         rows = pd.DataFrame({"t": start + np.arange(30.0), "x": np.arange(30.0), "u": 1.0})
         rows.to_csv(tmp_path / f"{name}.csv", index=False)
     logs = [read_recording(tmp_path / f"{name}.csv") for name in ("late", "early")]
-    assert all(one.t[0] == 0.25 for one in logs) and has_calendar(logs)
+    assert all(one.t[0] == 0.25 for one in logs) and share_a_calendar(logs)
+    assert not share_a_calendar(logs[:1])
     late, early = on_one_clock(logs)
     assert float(early.t[0]) == pytest.approx(0.25) and float(late.t[0]) == pytest.approx(400.25)
     assert late.read.epoch == early.read.epoch
     mixed = [*logs, lasting(20, 0.0)]
-    assert not has_calendar(mixed) and all(
+    assert not share_a_calendar(mixed) and all(
         one is other for one, other in zip(on_one_clock(mixed), mixed, strict=True)
     )

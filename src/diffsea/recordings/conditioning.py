@@ -48,18 +48,17 @@ def cut_between(trajectory: Trajectory, start: float | None, end: float | None) 
     return cut(trajectory, first if start is None else start, last if end is None else end)
 
 
-def has_calendar(recordings: Sequence[Trajectory]) -> bool:
-    """Whether all recordings say when they were made, so that their clocks are one."""
-    return all(run.read.epoch is not None for run in recordings)
+def share_a_calendar(recordings: Sequence[Trajectory]) -> bool:
+    """Whether there are several recordings, and all say when they were made."""
+    return len(recordings) > 1 and all(run.read.epoch is not None for run in recordings)
 
 
 def on_one_clock(recordings: Sequence[Trajectory]) -> list[Trajectory]:
     """Recordings that say when they were made, on the clock of the earliest; others as they are."""
-    epochs = [run.read.epoch for run in recordings]
-    known = [epoch for epoch in epochs if epoch is not None]
-    if not known or len(known) < len(epochs):
+    epochs = [run.read.epoch for run in recordings if run.read.epoch is not None]
+    if not epochs or len(epochs) < len(recordings):
         return list(recordings)
-    return [_moved(run, epoch - min(known)) for run, epoch in zip(recordings, known, strict=True)]
+    return [_moved(run, own - min(epochs)) for run, own in zip(recordings, epochs, strict=True)]
 
 
 def in_sequence(recordings: Sequence[Trajectory]) -> list[Trajectory]:
@@ -78,6 +77,8 @@ def in_sequence(recordings: Sequence[Trajectory]) -> list[Trajectory]:
 
 def _moved(run: Trajectory, shift: float) -> Trajectory:
     """The same run later by so much (s) on its clock."""
+    if shift == 0:
+        return run
     epoch = None if run.read.epoch is None else run.read.epoch - shift
     note = f"moved by {shift:+.10g} s on the clock, which other recordings share"
     return dataclasses.replace(

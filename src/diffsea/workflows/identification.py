@@ -35,7 +35,7 @@ from diffsea.parameters import Parameter
 from diffsea.progress import Progress, Remark, counted, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.recordings.auditing.actuators import stale_feedback
-from diffsea.recordings.conditioning import has_calendar, in_sequence, on_one_clock
+from diffsea.recordings.conditioning import in_sequence, on_one_clock, share_a_calendar
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.fit import compare_fit
 from diffsea.report.predictions import ComparedRun, compare, horizon_table
@@ -395,7 +395,7 @@ def diagnose(
         )
         require_order_units(file.vessel, [*runs, *held_out])
         whole = [*runs, *held_out]
-        in_order = one_after_another or has_calendar(whole)
+        in_order = one_after_another or share_a_calendar(whole)
         if in_order:
             whole = in_sequence(whole) if one_after_another else on_one_clock(whole)
             runs, held_out = whole[: len(runs)], whole[len(runs) :]
