@@ -226,10 +226,11 @@ def test_a_rudder_has_no_current_that_deflects_a_compass():
 
 
 def test_a_ship_with_a_propeller_is_not_asked_for_an_estimated_heading():
-    motors = EFFECTS["hard-iron:motors"]
-    for one in (motors, EFFECTS["hard-iron:estimated"]):
-        assert one.possible(build(USV)) and not one.possible(build(load(ORACLE / "ship.toml")))
-    assert motors.place.in_file(build(USV))["actuators"] == ["port", "starboard"]
+    motors, iron = EFFECTS["hard-iron:motors"], EFFECTS["hard-iron:estimated"]
+    twin, ship = build(USV), build(load(ORACLE / "ship.toml"))
+    assert motors.possible(twin) and not motors.possible(ship)
+    assert iron.usual(twin) and iron.possible(ship) and not iron.usual(ship)
+    assert motors.place.in_file(twin)["actuators"] == ["port", "starboard"]
 
 
 def test_the_three_ways_in_a_file_are_told_apart():
