@@ -125,7 +125,7 @@ def _new_boat(logs: "Sequence[Checked]") -> str:
     drive = _drive(one)
     log = f" --log {shlex.quote(str(path))}" if one.log.startswith("ardupilot") else ""
     fastest = max((_largest_order(each, "propeller") for _, each in logs), default=0.0)
-    shaft = f" --shaft-speed {_rounded_up(fastest):g}" if fastest and _PROPELLED in drive else ""
+    shaft = f" --shaft-speed {_rounded_up(fastest):g}" if fastest and drive == _PROPELLED else ""
     return f"--length M --beam M --mass KG {drive}{shaft}{log}" if drive else ""
 
 
