@@ -8,6 +8,7 @@ from tests.runs import random_steps
 
 import diffsea
 from diffsea import VesselFile
+from diffsea.trajectory import ReadReport
 from diffsea.vessel.files import build
 
 
@@ -17,16 +18,23 @@ SECONDS, STEP = 60.0, 0.2
 WEAKER = {"factor": -0.4, "actuators": ["starboard"]}
 
 
-def test_weed_in_one_propeller_is_found_from_when_it_was_there():
-    """The second of three runs, which all begin at zero, loses thrust on one side half way."""
+@pytest.mark.parametrize("dated", [False, pytest.param(True, marks=pytest.mark.proof)])
+def test_weed_in_one_propeller_is_found_from_when_it_was_there(dated):
+    """The second of three runs, which all begin at zero, loses thrust on one side half way.
+
+    Which came after which is said by an option, or by the files.
+    """
     since = (None, 30.0, 0.0)
     hidden = ({} if t is None else {"thrust-change": {"time": t, **WEAKER}} for t in since)
     runs = [
         dataclasses.replace(random_steps(DOCUMENT, k, SECONDS, STEP, one), name=f"run {k}")
         for k, one in enumerate(hidden, start=20)
     ]
+    if dated:
+        made = (ReadReport(epoch=1_795_000_000.0 + 100.0 * k) for k in range(3))
+        runs = [dataclasses.replace(run, read=read) for run, read in zip(runs, made, strict=True)]
     file = VesselFile(build(DOCUMENT), DOCUMENT, "usv.toml")
-    found = diffsea.diagnose(file, runs[:2], runs[2:], quick=True, one_after_another=True)
+    found = diffsea.diagnose(file, runs[:2], runs[2:], quick=True, one_after_another=not dated)
     (effect,) = found.record["effects"]
     assert effect["name"] == "thrust-change" and effect["actuators"] == ["starboard"]
     for key, true in (("time", 100.0 + 30.0), ("factor", -0.4)):
