@@ -20,6 +20,8 @@ from diffsea.statistics import is_significant, robust_regression
 
 Parameters = dict[str, float]
 
+_POINTS, _WHITENERS = 512, 8  # remembered of a comparison
+
 
 @dataclasses.dataclass(frozen=True)
 class Cause:
@@ -75,9 +77,21 @@ class KinematicComparison:
         """The kinds of noise at the knots."""
         return NoiseKinds(self.times, self.linked)
 
+    @functools.cached_property
+    def _levels_at(self) -> Callable[[frozenset[tuple[str, float]]], Levels]:
+        return functools.lru_cache(_POINTS)(lambda point: self.predict(dict(point)))
+
+    @functools.cached_property
+    def _whitener_at(self) -> Callable[[frozenset[tuple[str, float]]], Whitener]:
+        return functools.lru_cache(_WHITENERS)(lambda point: self._estimated_noise(dict(point)))
+
+    def predicted(self, theta: Parameters) -> Levels:
+        """The levels as `predict` has them; causes are tried in turn from the same points."""
+        return self._levels_at(frozenset(theta.items()))
+
     def residual(self, theta: Parameters) -> Float[np.ndarray, "series window"]:
         """Measured less predicted increments."""
-        return np.diff(self.measured - self.predict(theta), axis=-1)
+        return np.diff(self.measured - self.predicted(theta), axis=-1)
 
     def jacobian(
         self, theta: Parameters, names: Sequence[str]
@@ -86,8 +100,8 @@ class KinematicComparison:
         columns = []
         for name in names:
             step, _ = self.ranges[name]
-            ahead = self.predict(theta | {name: theta[name] + step})
-            behind = self.predict(theta | {name: theta[name] - step})
+            ahead = self.predicted(theta | {name: theta[name] + step})
+            behind = self.predicted(theta | {name: theta[name] - step})
             columns.append(np.diff(ahead - behind, axis=-1) / (2 * step))
         return np.array(columns)
 
@@ -97,13 +111,16 @@ class KinematicComparison:
         From the residual of the present model it would swallow what has not been found yet. A
         gain that is not established stays out: it would take the noise of the prediction away.
         """
+        return self._whitener_at(frozenset(theta.items()))
+
+    def _estimated_noise(self, theta: Parameters) -> Whitener:
         allowed = [c for c in self.causes if not c.gain or theta[c.parameters[0]] != 0]
         names = parameter_names(allowed)
-        levels = self.measured - self.predict(theta)
+        levels = self.measured - self.predicted(theta)
         known = (self.noise_kinds, 0.3 * self.floor, self.walk)
+        jacobian = self.jacobian(theta, names)
         for _ in range(2):
             white = Whitener(levels, *known)
-            jacobian = self.jacobian(theta, names)
             estimate, _ = robust_regression(white(jacobian), white(np.diff(levels, axis=-1)))
             fitted = np.tensordot(estimate, jacobian, 1)
             rest = np.cumsum(np.diff(levels, axis=-1) - fitted, axis=-1)

@@ -222,7 +222,7 @@ def _matters(comparison: KinematicComparison, theta: Parameters, cause: Cause) -
     if np.linalg.norm([theta[name] for name in cause.parameters]) < cause.negligible:
         return False
     without = theta | dict.fromkeys((*cause.parameters, *cause.beside), 0.0)
-    effect = comparison.predict(theta) - comparison.predict(without)
+    effect = comparison.predicted(theta) - comparison.predicted(without)
     return float(np.sqrt(np.mean(np.var(effect, axis=-1)))) >= comparison.floor
 
 
