@@ -1,5 +1,6 @@
 """Checks of shape annotations while tests run: what jaxtyping's import hook decorates with."""
 
+import collections
 import functools
 import itertools
 import operator
@@ -13,6 +14,8 @@ import jaxtyping
 
 
 CHECKED_CALLS = 100  # of each function, in each process
+CHECKED_CLOSURES = 20  # of each function within another, which is a new one at every call of that
+_closures: collections.Counter[types.CodeType] = collections.Counter()
 
 
 def shape_of(hint: typing.Any) -> typing.Any:
@@ -35,7 +38,13 @@ def check_shapes(function: Callable) -> Callable:
     What else is annotated is left to pyright: a number is a float, a NumPy or a JAX number, traced
     or not, which annotations of plain types do not say. After so many calls a function is left
     alone: loops of NumPy call some a hundred thousand times, and would take twice as long.
+    Closures are left alone after so many of one kind: to check them takes longer than they do.
     """
+    code = getattr(function, "__code__", None)
+    if code is not None and "<locals>" in function.__qualname__:
+        _closures[code] += 1
+        if _closures[code] > CHECKED_CLOSURES:
+            return function
     hints = getattr(function, "__annotations__", {})
     shapes = {name: shape_of(hint) for name, hint in hints.items() if shape_of(hint) is not None}
     checked = function
