@@ -29,6 +29,7 @@ from diffsea.diagnosis.refits import (
     make_hypothesis,
     near_the_best,
     refit_without,
+    without_needless_wholes,
 )
 from diffsea.diagnosis.starts import (
     first_guess,
@@ -111,6 +112,19 @@ def test_what_came_out_with_the_wrong_sign_brings_its_mirror_with_it():
     assert near_the_best([early, late]) == ([early, late], [])
     possible = dataclasses.replace(early, is_physical=True)
     assert near_the_best([possible, late]) == ([possible], [late])
+
+
+@pytest.mark.parametrize(
+    "more, fitted_on", [(0.1, False), (-0.1, False), (2.0, True), (-2.0, True)]
+)
+def test_an_effect_whose_fit_is_that_of_a_part_is_fitted_no_further(more, fitted_on):
+    part = hypothesis("thrust-delay:port", 140.0)
+    whole = hypothesis("actuator-response:port", 140.0 + more)
+    elsewhere = hypothesis("actuator-response:starboard", 140.0)
+    near, needless = without_needless_wholes([whole, part, elsewhere])
+    assert near == ([whole] if fitted_on else []) + [part, elsewhere]
+    assert needless == ([] if fitted_on else [whole])
+    assert without_needless_wholes([whole]) == ([whole], [])
 
 
 def test_every_hypothesis_as_good_as_the_best_is_judged_on_held_out_data():

@@ -30,6 +30,7 @@ from diffsea.vessel.files import build
 
 
 FREE = ("X_u", "Y_v", "N_r")
+NO_RUN = SimpleNamespace(gains=SimpleNamespace(placement=None))  # of points made up
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +58,9 @@ def test_differences_give_the_gradient_of_the_filters_own_deviance(problem, foun
     def exact(free: jax.Array) -> jax.Array:
         def deviance(free: jax.Array) -> jax.Array:
             at = jnp.asarray(away.coordinates).at[index].set(free)
-            run = kalman.run_filter(problem.base, problem.layout, problem.dataset, found.noise, at)
+            known = problem.base, problem.layout, problem.dataset
+            placement = away.run.gains.placement
+            run = kalman.run_filter(*known, found.noise, at, placement)
             strains = problem.layout.strains(at, problem.layout.spreads())
             return kalman.deviance(run) + jnp.sum(strains**2)
 
@@ -132,9 +135,9 @@ def of_a_valley(problem, monkeypatch, deviance) -> FilteredPoint:
     """A deviance of one coordinate in place of the filter's, at zero; its residual is straight."""
     noise, residual = problem.start()[1], np.zeros(1)
 
-    def made(problem, coordinates, noise) -> FilteredPoint:
+    def made(problem, coordinates, noise, placement=None) -> FilteredPoint:
         value = deviance(float(coordinates[0]))
-        return FilteredPoint(coordinates, noise, None, residual, value)
+        return FilteredPoint(coordinates, noise, NO_RUN, residual, value)
 
     monkeypatch.setattr(descent, "filter_at", made)
     return made(problem, np.zeros(1), noise)
@@ -199,10 +202,10 @@ class BentValley:
         monkeypatch.setattr(descent, "filter_at", self.at)
         self.start = self.at(problem, np.zeros(2), problem.start()[1])
 
-    def at(self, problem, coordinates, noise) -> FilteredPoint:
+    def at(self, problem, coordinates, noise, placement=None) -> FilteredPoint:
         x, y = coordinates
         residual = np.array([1.0 - x, self.slope * (y - x**2) + self.disturbance(x)])
-        return FilteredPoint(coordinates, noise, None, residual, float(residual @ residual))
+        return FilteredPoint(coordinates, noise, NO_RUN, residual, float(residual @ residual))
 
     def step(self):
         model = Linearisation(self.start.residual, np.diag([-1.0, self.slope]))
@@ -255,10 +258,10 @@ def test_the_bow_is_that_of_further_data_too(problem, found):
 def test_what_lies_behind_does_not_keep_a_step_from_being_taken(problem, monkeypatch, behind):
     """A filter that diverges, or nearly, on the far side of where it stands."""
 
-    def made(problem, coordinates, noise) -> FilteredPoint:
+    def made(problem, coordinates, noise, placement=None) -> FilteredPoint:
         x = coordinates[0]
         residual = np.array([1.0 - x + (behind if x < 0 else 0.0)])
-        return FilteredPoint(coordinates, noise, None, residual, float(residual @ residual))
+        return FilteredPoint(coordinates, noise, NO_RUN, residual, float(residual @ residual))
 
     monkeypatch.setattr(descent, "filter_at", made)
     now = made(problem, np.zeros(1), problem.start()[1])
@@ -267,12 +270,37 @@ def test_what_lies_behind_does_not_keep_a_step_from_being_taken(problem, monkeyp
     assert point.coordinates[0] == pytest.approx(1.0)
 
 
+def test_a_fit_ends_at_a_jump_with_all_that_does_not_jump_at_its_best(monkeypatch):
+    """(1 - x)^2 + (2 - y)^2, and 10 more where x > 0, with samples in other rows there."""
+
+    def placed(coordinates) -> SimpleNamespace:
+        return SimpleNamespace(source=np.array([int(coordinates[0] > 0)]))
+
+    def made(problem, coordinates, noise, placement=None) -> FilteredPoint:
+        residual = np.array([1.0, 2.0]) - coordinates
+        jump = 10.0 if (placement or placed(coordinates)).source[0] else 0.0
+        run = SimpleNamespace(gains=SimpleNamespace(placement=placed(coordinates)))
+        return FilteredPoint(coordinates, noise, run, residual, float(residual @ residual) + jump)
+
+    monkeypatch.setattr(descent, "filter_at", made)
+    slopes = lambda problem, gains, at, index: Linearisation(np.array([1.0, 2.0]) - at, -np.eye(2))
+    monkeypatch.setattr(descent, "linearise", slopes)
+    problem = SimpleNamespace(placement=placed)
+    first, second = (
+        descend(problem, made(problem, np.array(at), None), np.arange(2), np.zeros(2), corrects)
+        for at, corrects in (((0.0, 0.0), Correction.NEVER), ((0.0, 2.0), Correction.AT_ONCE))
+    )
+    assert first.point.coordinates == pytest.approx([0.0, 2.0]) and not first.refused
+    assert second.is_last and second.promised < 1e-6
+    assert second.left_out == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
 def test_residuals_of_the_filter_bend_less_along_the_parabola(problem, found, away, monkeypatch):
     """Second differences over the whole way, as far as the model's slopes can tell."""
     visited = []
 
-    def remember(problem, coordinates, noise) -> FilteredPoint:
-        visited.append(filter_at(problem, coordinates, noise))
+    def remember(*given) -> FilteredPoint:
+        visited.append(filter_at(*given))
         return visited[-1]
 
     model = linearise(problem, away.run.gains, away.coordinates, found.index)

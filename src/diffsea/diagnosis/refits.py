@@ -47,6 +47,7 @@ TOLERANCE = 2.0  # standard errors by which a size may come out beyond its bound
 NEAR_BEST = 60.0  # of the best evidence at fixed noise, within which a hypothesis is fitted on
 NEAR_BEST_SHARE = 0.6  # of the best evidence, where that is more
 FULL_REFITS = 4  # at most, and those that the evidence does not tell from the best
+SAME_FIT = 0.5  # of -2 log posterior, within which an effect and a part of it fit alike
 STALLED_SHARE = 0.8  # of the gain that the linear model promises: less is a stalled refit
 SMALL_SHARE = 0.1  # of an effect's first guess, from which a stalled refit begins again
 
@@ -101,6 +102,8 @@ def refit_candidates(
         return refit_at_fixed_noise(problem, current, screening.candidates[name])
 
     near, rest = near_the_best(on_every_core(refit_first, names))
+    near, as_parts = without_needless_wholes(near)
+    rest = [*as_parts, *rest]
     starts = [Start.beside(current, start_beside(problem, current, one)) for one in near]
     asked = [Refit(one.candidate, [start]) for one, start in zip(near, starts, strict=True)]
     full = refit_fully(data, current, asked)
@@ -135,6 +138,25 @@ def near_the_best(tried: list[Hypothesis]) -> tuple[list[Hypothesis], list[Hypot
         if k < FULL_REFITS or tried[0].evidence(1.0) - one.evidence(1.0) < EVIDENCE
     ]
     return near, [one for one in tried if one not in near]
+
+
+def without_needless_wholes(
+    near: list[Hypothesis],
+) -> tuple[list[Hypothesis], list[Hypothesis]]:
+    """Hypotheses that differ, and those whose fit is that of a part of theirs among them.
+
+    A dead time with a slew limit that is too fast to act is that dead time.
+    """
+
+    def is_needless(one: Hypothesis) -> bool:
+        return any(
+            EFFECTS[other.effect].is_part_of(EFFECTS[one.effect])
+            and abs(one.deviance_drop - other.deviance_drop) < SAME_FIT
+            for other in near
+        )
+
+    needless = [one for one in near if is_needless(one)]
+    return [one for one in near if one not in needless], needless
 
 
 def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candidate) -> Hypothesis:

@@ -14,11 +14,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from diffsea.budget import on_every_core
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun, deviance
+from diffsea.identification.filter.latency import SamplePlacement
 from diffsea.identification.problem import Coordinates, FreeIndex, Problem
 from diffsea.identification.residual import Linearisation, linearise
 
@@ -72,9 +73,18 @@ class Descent(NamedTuple):
         return self.refused and self.corrected
 
 
-def filter_at(problem: Problem, coordinates: Coordinates, noise: Noise) -> FilteredPoint:
-    """Run the filter at some coordinates and noise."""
-    run = problem.run_filter(coordinates, noise)
+def filter_at(
+    problem: Problem,
+    coordinates: Coordinates,
+    noise: Noise,
+    placement: SamplePlacement | None = None,
+) -> FilteredPoint:
+    """Run the filter at some coordinates and noise, with samples placed as late as they are there.
+
+    Arguments:
+        placement: of the samples instead of that.
+    """
+    run = problem.run_filter(coordinates, noise, placement=placement)
     off = (np.asarray(noise.scales) - problem.prior.mean) / problem.prior.spread
     layout = problem.layout
     away = np.asarray(layout.strains(coordinates, layout.spreads()))
@@ -94,6 +104,9 @@ def descend(
 ) -> Descent:
     """One step of the free coordinates; none where nothing that is tried is better.
 
+    Where samples fall in other rows when a latency changes, the deviance jumps. A fit may end at
+    such a jump: a latency that no step leads across stays, and the others go on.
+
     Arguments:
         left_out: of the gradient by gains held fixed; zeros at first.
         corrects: when to find that anew.
@@ -111,7 +124,27 @@ def descend(
         left_out = gradient - model.gradient
         again, promised = _along_parabola(problem, now, index, model, gradient, least)
         there = again if again.better_than(there) else there
+    if there is now and promised >= least:
+        gradient = model.gradient + left_out
+        kept = ~_at_jumps(problem, now, index, -np.linalg.solve(model.curvature, gradient))
+        if not kept.all():
+            part = Linearisation(model.residual, model.jacobian[:, kept])
+            there, promised = _along_parabola(
+                problem, now, index[kept], part, gradient[kept], least
+            )
     return Descent(there, left_out, model, promised, there is now, corrected)
+
+
+def _at_jumps(
+    problem: Problem, now: FilteredPoint, index: FreeIndex, step: Float[np.ndarray, "free"]
+) -> Bool[np.ndarray, "free"]:
+    """Which coordinates the smallest share of a step takes where samples fall in other rows."""
+    here, found = np.asarray(now.run.gains.placement.source), np.zeros(len(index), bool)
+    for place, one in enumerate(index):
+        coordinates = now.coordinates.copy()
+        coordinates[one] += STEP_SHARES[-1] * step[place]
+        found[place] = (np.asarray(problem.placement(coordinates).source) != here).any()
+    return found
 
 
 def _along_parabola(
@@ -134,15 +167,20 @@ def _along_parabola(
     if promised < NEGLIGIBLE_PROMISE:
         return now, promised
 
-    def at(change: Float[np.ndarray, "free"]) -> FilteredPoint:
+    def at(
+        change: Float[np.ndarray, "free"], placement: SamplePlacement | None = None
+    ) -> FilteredPoint:
         coordinates = now.coordinates.copy()
         coordinates[index] += change
-        return filter_at(problem, coordinates, now.noise)
+        return filter_at(problem, coordinates, now.noise, placement)
+
+    def beside(change: Float[np.ndarray, "free"]) -> FilteredPoint:
+        return at(change, now.run.gains.placement)
 
     if promised < least:
         whole = at(step)
         return whole if whole.better_than(now) else now, promised
-    above, below = on_every_core(at, [BOW_SHARE * step, -BOW_SHARE * step])
+    above, below = on_every_core(beside, [BOW_SHARE * step, -BOW_SHARE * step])
     bend = (above.residual + below.residual - 2 * now.residual) / BOW_SHARE**2
     bow = -np.linalg.solve(model.curvature, 2 * model.jacobian.T @ bend)
     best, straight = now, np.zeros(len(step))
@@ -187,7 +225,7 @@ def gradient_by_differences(
     def deviance_along(axis: Float[np.ndarray, "free"]) -> float:
         coordinates = now.coordinates.copy()
         coordinates[index] += axis
-        return filter_at(problem, coordinates, now.noise).deviance
+        return filter_at(problem, coordinates, now.noise, now.run.gains.placement).deviance
 
     sides = np.concatenate([DIFFERENCE * axes.T, -DIFFERENCE * axes.T])
     above, below = np.array(on_every_core(deviance_along, sides)).reshape(2, -1)

@@ -15,6 +15,7 @@ from diffsea.identification.data.dataset import ANY_SHAPE, Dataset, DatasetShape
 from diffsea.identification.filter import kalman
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun
+from diffsea.identification.filter.latency import SamplePlacement
 from diffsea.identification.filter.noise_fit import NoisePrior, noise_prior
 from diffsea.parameters import Parameter, check_names
 from diffsea.trajectory import Trajectory
@@ -85,14 +86,24 @@ class Problem:
         return np.zeros(self.layout.size), Noise.of(self.prior.mean)
 
     def run_filter(
-        self, coordinates: Coordinates, noise: Noise, gate: float = kalman.NO_GATE
+        self,
+        coordinates: Coordinates,
+        noise: Noise,
+        gate: float = kalman.NO_GATE,
+        placement: SamplePlacement | None = None,
     ) -> FilterRun:
         """The filter's run at some coordinates; `Estimate.filter_run` at an estimate.
 
-        Values further than `gate` standard deviations from what was expected are left out.
+        Values further than `gate` standard deviations from what was expected are left out. Samples
+        are used at the rows of a `placement`; at those that the coordinates say if None.
         """
         at = jnp.asarray(coordinates)
-        return _run_filter(self.base, self.layout, self.dataset, noise, at, gate)
+        placement = self.placement(coordinates) if placement is None else placement
+        return _run_filter(self.base, self.layout, self.dataset, noise, at, placement, gate)
+
+    def placement(self, coordinates: Coordinates) -> SamplePlacement:
+        """At which rows the filter uses the samples, as late as they are at some coordinates."""
+        return _placement_at(self.base, self.layout, self.dataset, jnp.asarray(coordinates))
 
     def linear_rows(self, coordinates: Coordinates, index: FreeIndex) -> LinearRows:
         """Misfits of the further data at some coordinates and their slopes; none without them."""
@@ -112,6 +123,7 @@ class Problem:
 
 
 _run_filter = eqx.filter_jit(kalman.run_filter)
+_placement_at = eqx.filter_jit(kalman.placement_at)
 
 
 def make_problem(

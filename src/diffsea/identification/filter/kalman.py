@@ -286,12 +286,23 @@ def whitened_innovations(
     return batched_scan(body, (jnp.zeros(9), jnp.zeros(3)), inputs, dataset.batches)
 
 
+def placement_at(
+    base: Vessel,
+    layout: CoordinateLayout,
+    dataset: Dataset,
+    coordinates: Float[Array, "coordinate"],
+) -> SamplePlacement:
+    """At which rows the samples are used, as late as the sensors are at one estimate."""
+    return place_samples(vessel_at(base, layout, coordinates)[0], dataset)
+
+
 def run_filter(
     base: Vessel,
     layout: CoordinateLayout,
     dataset: Dataset,
     noise: Noise,
     coordinates: Float[Array, "coordinate"],
+    placement: SamplePlacement,
     gate: float = NO_GATE,
 ) -> FilterRun:
     """Extended Kalman filter at one estimate.
@@ -300,7 +311,6 @@ def run_filter(
     the likelihood. A value further than `gate` standard deviations off is left out.
     """
     vessel, flows = vessel_at(base, layout, coordinates)
-    placement = place_samples(vessel, dataset)
     vessel, dataset = corrected(vessel, dataset)
     R = jnp.exp(2 * noise.sensor)
     P0 = jnp.diag(jnp.concatenate([first_variance(vessel), jnp.exp(2 * noise.slow)]))
