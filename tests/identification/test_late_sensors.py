@@ -254,7 +254,7 @@ def test_every_sample_has_a_row_near_its_time_and_none_is_lost(vessel, late):
         np.testing.assert_array_equal(restarts[own], own <= begin)
 
 
-@pytest.mark.parametrize("late", [0.35, 1.6])
+@pytest.mark.parametrize("late", [0.35, pytest.param(1.6, marks=pytest.mark.proof)])
 def test_fixes_without_velocities_are_late_by_the_same_wherever_a_fit_begins(late):
     """Half and more than twice the time of the vessel; fixes five times a second, with noise."""
     document, effect = load(str(ORACLE / "usv.toml")), EFFECTS["sensor-latency:position"]

@@ -36,7 +36,7 @@ from diffsea.vessel.files import build
 from diffsea.vessel.forces import SteadyForce
 
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.compiles]
 
 
 HULL = ("X_u", "X_uu", "Y_v", "N_r", "N_rr")

@@ -19,7 +19,7 @@ from diffsea.simulation.replay import horizon_errors, prediction_misses
 from diffsea.vessel.files import build
 
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.compiles]
 
 
 FREE = ("X_u", "X_uu", "Y_v", "N_r", "N_rr")

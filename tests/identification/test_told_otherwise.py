@@ -99,6 +99,7 @@ def test_noise_stays_as_it_is_where_the_model_diverges(boat, runs):
     np.testing.assert_array_equal(kept.scales, noise.scales)
 
 
+@pytest.mark.proof
 def test_a_real_set_told_otherwise_is_fitted_the_same(tmp_path):
     """One set of those that `make proof` asks."""
     name = "blueboat"

@@ -22,6 +22,9 @@ from diffsea.missions.studies.sweep import closed_loop_sweep
 from diffsea.simulation.designs import Grid
 
 
+pytestmark = pytest.mark.compiles
+
+
 LIMITED = {"limits": {"port": [-6.0, 9.0]}}
 
 

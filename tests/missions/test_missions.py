@@ -23,6 +23,9 @@ from diffsea.scales import HARD_OVER
 from diffsea.simulation.control import Course, LineOfSight, autopilot
 
 
+pytestmark = pytest.mark.compiles
+
+
 PERIOD, SECONDS, THROTTLE = 0.2, 60.0, 160.0
 SHIP = {
     "format": 1,

@@ -23,6 +23,9 @@ from diffsea.simulation.control.positioning_gains import Weights, positioning_ga
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.compiles
+
+
 SHIP = read_vessel("shioji_maru").vessel
 PERIOD = 0.5
 

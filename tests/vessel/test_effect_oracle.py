@@ -24,6 +24,9 @@ from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.compiles
+
+
 # |r| r has a jump in its second derivative, which costs a step of fixed length its order.
 USV = varied(load(ORACLE / "usv.toml"), {"N_rr": None, "N_rrr": -2000.0})
 SHIP = load(ORACLE / "ship.toml")

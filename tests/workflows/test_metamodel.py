@@ -21,7 +21,7 @@ from diffsea.metamodels.norrbin import Norrbin
 from diffsea.metamodels.validation import predict_trials
 
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.compiles]
 
 
 TRUE = {"a0": -5e-5, "a1": 0.022, "a2": 0.2, "a3": 120.0, "b": 2.0e-3}
@@ -252,6 +252,7 @@ def test_a_vessel_is_judged_by_the_metamodel_under_the_same_rudder(logs, tmp_pat
     assert any("norrbin follows the metamodel to" in note for note in found.notes())
 
 
+@pytest.mark.proof
 def test_logs_without_names_are_told_apart(logs):
     """Of DataFrames every trial is simulated under its own rudder."""
     ship, some = Norrbin(**TRUE).vessel(100.0, SPEED), logs[:5]

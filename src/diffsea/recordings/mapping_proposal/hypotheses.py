@@ -13,6 +13,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -144,6 +145,34 @@ _UNIT_PROBABILITIES = {
 }
 
 
+class _ColumnOdds(NamedTuple):
+    """What columns say of a hypothesis, whatever their signs.
+
+    `names` are log odds under every convention; `present` are the channels, x to r, that have a
+    column. `geographic` and `absolute` are whether x and y are called latitude and longitude, and
+    north and east. `passed_over` are log odds against, and `compass` those if heading is mirrored
+    or turned.
+    """
+
+    names: list[float]
+    present: tuple[bool, ...]
+    passed_over: float
+    geographic: tuple[bool, bool]
+    absolute: tuple[bool, bool]
+    compass: float
+
+    def against(self, h: ColumnHypothesis) -> float:
+        """Log odds against the hypothesis by what it denies that is fixed by definition."""
+        cost = self.passed_over
+        for sign, is_fix, is_absolute in zip(h.signs, self.geographic, self.absolute, strict=True):
+            if is_fix:
+                cost += _GEOGRAPHIC if sign < 0 else _DEGREES
+            if is_absolute and sign < 0:
+                cost += _NEGATED_NORTH
+        cost += _GEOGRAPHIC if self.geographic[0] != self.geographic[1] else 0.0
+        return cost + (self.compass if (h.turn, h.quarter) != (1, 0) else 0.0)
+
+
 @dataclasses.dataclass(frozen=True)
 class HypothesisPrior:
     """Log odds of hypotheses before any number is looked at.
@@ -157,7 +186,8 @@ class HypothesisPrior:
     suggestions: dict[str, Suggestion]
     wrapped: frozenset[str] = frozenset()
     varying: frozenset[str] = frozenset()
-    _known: dict[tuple, list[float]] = dataclasses.field(default_factory=dict, repr=False)
+    _columns: dict[tuple, _ColumnOdds] = dataclasses.field(default_factory=dict, repr=False)
+    _departures: dict[tuple, list[float]] = dataclasses.field(default_factory=dict, repr=False)
 
     def label(self, column: str | None, *labels: str) -> float:
         """Log odds of a column being one of some labels against being something else.
@@ -215,24 +245,47 @@ class HypothesisPrior:
 
     def log_odds(self, hypothesis: ColumnHypothesis) -> float:
         """Log odds of the hypothesis, under the convention that suits it best."""
-        return max(self._by_convention(hypothesis)) - self._contradictions(hypothesis)
+        columns = self._of_columns(hypothesis)
+        return max(self._by_convention(hypothesis, columns)) - columns.against(hypothesis)
 
     def convention(self, hypothesis: ColumnHypothesis) -> FrameConvention:
         """The convention under which the hypothesis is least unusual."""
-        odds = self._by_convention(hypothesis)
+        odds = self._by_convention(hypothesis, self._of_columns(hypothesis))
         return CONVENTIONS[odds.index(max(odds))]
 
-    def _by_convention(self, h: ColumnHypothesis) -> list[float]:
+    def _by_convention(self, h: ColumnHypothesis, columns: _ColumnOdds) -> list[float]:
         """Log odds of names and signs under every convention."""
+        signs = (h.signs, h.turn, h.quarter, h.speeds, h.spin, h.earth, columns.present)
+        departures = self._departures.get(signs)
+        if departures is None:
+            departures = self._departures[signs] = [_departures(h, each) for each in CONVENTIONS]
+        return [a - b for a, b in zip(columns.names, departures, strict=True)]
+
+    def _of_columns(self, h: ColumnHypothesis) -> _ColumnOdds:
+        """What the columns of the hypothesis say, whatever their signs."""
+        columns = (h.x, h.y, h.psi, h.u, h.v, h.r, h.earth)
+        known = self._columns.get(columns)
+        if known is None:
+            known = self._columns[columns] = self._judge_columns(h)
+        return known
+
+    def _judge_columns(self, h: ColumnHypothesis) -> _ColumnOdds:
         columns = (h.x, h.y, h.psi, h.u, h.v, h.r)
-        named = (*columns, h.earth)
-        if named not in self._known:
-            self._known[named] = [self._names(h, each) for each in CONVENTIONS]
-        there = (column is None for column in columns)
-        signs = (h.signs, h.turn, h.quarter, h.speeds, h.spin, h.earth, *there)
-        if signs not in self._known:
-            self._known[signs] = [_departures(h, each) for each in CONVENTIONS]
-        return [a - b for a, b in zip(self._known[named], self._known[signs], strict=True)]
+        north, east = (
+            self.suggestions[column].weights if column is not None else {} for column in (h.x, h.y)
+        )
+        compass = 0.0
+        if h.psi is not None:
+            named = _COMPASS_WORDS & set(self.suggestions[h.psi].words)
+            compass = _COMPASS * bool(named) + _WRAPPED_COMPASS * (h.psi in self.wrapped)
+        return _ColumnOdds(
+            [self._names(h, each) for each in CONVENTIONS],
+            tuple(column is not None for column in columns),
+            self.passes_over(columns, frozenset()),
+            (north.get("lat", 0.0) > NAMED, east.get("lon", 0.0) > NAMED),
+            (north.get("north", 0.0) > NAMED, east.get("east", 0.0) > NAMED),
+            compass,
+        )
 
     def _names(self, h: ColumnHypothesis, convention: FrameConvention) -> float:
         """Log odds of the columns' names, and of the frames that they state, in a convention."""
@@ -253,25 +306,6 @@ class HypothesisPrior:
         loose = self.label(h.u, "v" if convention.swapped else "u")
         loose += self.label(h.v, "u" if convention.swapped else "v")
         return total + max(absolute, loose - _LOOSE_EARTH)
-
-    def _contradictions(self, h: ColumnHypothesis) -> float:
-        """Log odds against hypotheses that deny what is fixed by definition."""
-        cost, fixes = self.passes_over((h.x, h.y, h.psi, h.u, h.v, h.r), frozenset()), []
-        for column, sign, label, absolute in (
-            (h.x, h.signs[0], "lat", "north"),
-            (h.y, h.signs[1], "lon", "east"),
-        ):
-            weights = self.suggestions[column].weights if column is not None else {}
-            fixes.append(weights.get(label, 0.0) > NAMED)
-            if fixes[-1]:
-                cost += _GEOGRAPHIC if sign < 0 else _DEGREES
-            if sign < 0 and weights.get(absolute, 0.0) > NAMED:
-                cost += _NEGATED_NORTH
-        cost += _GEOGRAPHIC if fixes[0] != fixes[1] else 0.0
-        if h.psi is not None and (h.turn, h.quarter) != (1, 0):
-            named = _COMPASS_WORDS & set(self.suggestions[h.psi].words)
-            cost += _COMPASS * bool(named) + _WRAPPED_COMPASS * (h.psi in self.wrapped)
-        return cost
 
 
 def _departures(h: ColumnHypothesis, convention: FrameConvention) -> float:
