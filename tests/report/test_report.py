@@ -670,6 +670,15 @@ def test_fit_page_of_a_start_that_diverges():
     assert "cost above its minimum" in page
 
 
+def test_rivals_of_what_was_found_are_told_where_something_is_left():
+    summary = summary_of("ambiguous") | {"verdict": "unexplained"}
+    text = " ".join(verdict_text(summary).split())
+    assert "or else wind: they cannot tell which), which the model leaves out, and someth" in text
+    assert "; odds over 1e6 : 1; wind would do as well" in text
+    alone = " ".join(verdict_text(summary_of("explained")).split())
+    assert "would do as well" not in alone and "or else" not in alone
+
+
 def test_verdict_text_of_each_verdict():
     explained = verdict_text(summary_of("explained"))
     told = " ".join(explained.split())

@@ -25,6 +25,7 @@ from diffsea.report.wording.words import (
     Record,
     acted_on,
     as_words,
+    enumeration,
     named_effects,
     parameter_lines,
     together_note,
@@ -49,7 +50,9 @@ def verdict_text(summary: Record) -> str:
         size = effect.get("evidence", {}).get("log10_odds")
         sure = f"; odds {odds_or_bound(size)}" if is_known(size) else ""
         sizes = ", ".join(parameter_lines(effect)) + together_note(effect)
-        what.append(f"{as_words(effect['name'])}{acts_on}{place}: {sizes}{sure}")
+        rivals = [as_words(name) for name in effect["alternatives"]]
+        instead = f"; {enumeration(rivals, 'or')} would do as well" if rivals else ""
+        what.append(f"{as_words(effect['name'])}{acts_on}{place}: {sizes}{sure}{instead}")
     following, proposal = "", summary["next_experiment"]
     if proposal:
         manoeuvre, seconds = "no manoeuvre", proposal.get("seconds")

@@ -49,13 +49,14 @@ def verdict_sentence(summary: Record) -> str:
         return f"The recordings do not tell whether the model lacks anything: {why}."
     what = enumeration(phrases(effects))
     names = dict.fromkeys(name for one in effects for name in one.get("alternatives", []))
+    rivals = enumeration([as_words(name) for name in names], "or") if names else ""
     if summary["verdict"] == "unexplained":
+        instead = f" (or else {rivals}: they cannot tell which)" if rivals else ""
         return (
-            f"The recordings show {what}, which the model leaves out, and something else that "
-            "has no name here."
+            f"The recordings show {what}{instead}, which the model leaves out, and something else "
+            "that has no name here."
         )
-    if summary["verdict"] == "ambiguous" and names:
-        rivals = enumeration([as_words(name) for name in names], "or")
+    if summary["verdict"] == "ambiguous" and rivals:
         return f"The model leaves out {what}, or else {rivals}: these recordings cannot tell which."
     return f"The recordings show {what}, which the model leaves out."
 
