@@ -178,6 +178,7 @@ def summary_of(verdict: str) -> dict:
         "left_out": [],
         "one_sample_in": {},
         "straight_runs": 0,
+        "sides": [],
         "residual_force": {},
         "insufficient": ["parameters", "motion"] if verdict == "insufficient" else [],
         "audit": audit if verdict != "consistent" else [],

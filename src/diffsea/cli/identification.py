@@ -198,6 +198,7 @@ def _fit_record(found: "FitResult") -> dict[str, Any]:
         "path": list(study.estimate.path),
         "outcome": study.estimate.outcome.value,
         "identifiability": study.identifiability.as_dict(),
+        "sides": study.side_records,
         "next_manoeuvre": None if study.next is None else study.next.as_dict(),
         "starts": None if study.agreement is None else dataclasses.asdict(study.agreement),
         "outliers": study.outliers,
@@ -224,7 +225,7 @@ def _summary_text(found: "FitResult") -> str:
     from diffsea.budget import left_out_sentence
     from diffsea.report.fit import MODELS, fitted_effects, worse_warning
     from diffsea.report.predictions import horizon_table
-    from diffsea.report.wording.caveats import quick_sentence
+    from diffsea.report.wording.caveats import quick_sentence, side_sentences
     from diffsea.report.wording.horizons import horizon_line
 
     study, sources = found.study, found.study.sources
@@ -252,6 +253,7 @@ def _summary_text(found: "FitResult") -> str:
         lost = ", ".join(f"{number} of {name}" for name, number in study.outliers.items())
         parts.append(f"outliers left out: {lost}")
     parts += study.identifiability.sentences
+    parts += side_sentences(study.side_records)
     parts += [] if sources is None else sources.sentences
     parts += [] if study.next is None else [f"next: {study.next.sentence}"]
     warning = worse_warning(found.predicted)

@@ -33,6 +33,7 @@ from diffsea.identification.fit import normalised_rms
 from diffsea.identification.free_predictions import free_errors
 from diffsea.identification.holdout import HeldOut, held_out_coordinates
 from diffsea.identification.problem import Problem
+from diffsea.identification.uncertainty.sides import differing_sides
 from diffsea.vessel.effects import EFFECTS, Onset, catalogue_name
 from diffsea.vessel.files import Table, updated_document
 
@@ -100,6 +101,7 @@ def summary(
         "straight_runs": data.train.dataset.straight_runs,
         "insufficient": [str(one) for one in diagnosis.shortfalls],
         "parameters": [one.as_dict() for one in fitted],
+        "sides": [one._asdict() for one in differing_sides(problem, final)],
         "held_out": held_out,
         "screening": [
             {

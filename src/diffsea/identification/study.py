@@ -54,6 +54,7 @@ from diffsea.identification.uncertainty.identifiability import (
     identifiability,
     profile_interval,
 )
+from diffsea.identification.uncertainty.sides import SideRatio, differing_sides
 from diffsea.identification.uncertainty.sources import Sources, sources
 from diffsea.parameters import Parameter, check_names
 from diffsea.progress import Progress, no_progress
@@ -116,6 +117,7 @@ class Study:
     sources: Sources | None = None  # where recordings and trial numbers were fitted together
     # Decimal logarithms of each effect's odds against none, where trial numbers alone were fitted.
     log10_odds: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    sides: tuple[SideRatio, ...] = ()  # pairs of thrusters that the fit found to differ
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -129,6 +131,11 @@ class Study:
             row = dataclasses.replace(one, interval=interval).as_dict()
             rows.append(row | {"profiled": one.name in self.profiles})
         return rows
+
+    @property
+    def side_records(self) -> list[dict[str, Any]]:
+        """Pairs of thrusters that the fit found to differ, as fit.json has them."""
+        return [one._asdict() for one in self.sides]
 
     @property
     def values(self) -> dict[str, float]:
@@ -320,6 +327,7 @@ def identify(
         objective.outliers,
         sources(objective, fitted),
         {} if of_sheet is None else of_sheet.log10_odds(fitted, progress),
+        () if problem is None else tuple(differing_sides(problem, fitted)),
     )
 
 

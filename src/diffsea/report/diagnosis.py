@@ -122,6 +122,7 @@ def diagnosis_report(
             (
                 caveats.sampling_sentence(summary["one_sample_in"]),
                 caveats.straight_sentence(summary["straight_runs"]),
+                *caveats.side_sentences(summary["sides"]),
             )
         ).strip(),
         location=location_section(summary, recordings, most),

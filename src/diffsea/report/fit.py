@@ -17,7 +17,12 @@ from diffsea.report.plots import DIAGNOSED, figure
 from diffsea.report.predictions import ComparedRun, horizon_table, predict, prediction_section
 from diffsea.report.quantities import round_to_error, significant, with_error
 from diffsea.report.wording import horizons, words
-from diffsea.report.wording.caveats import quick_sentence, sampling_sentence, straight_sentence
+from diffsea.report.wording.caveats import (
+    quick_sentence,
+    sampling_sentence,
+    side_sentences,
+    straight_sentence,
+)
 from diffsea.report.wording.words import Record
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
@@ -188,6 +193,7 @@ def _open_questions(study: Study) -> list[str]:
         sentences.append(sampling_sentence(study.objective.one_sample_in).removesuffix("."))
     if study.problem is not None and (runs := study.problem.dataset.straight_runs):
         sentences.append(straight_sentence(runs).removesuffix("."))
+    sentences += [one.removesuffix(".") for one in side_sentences(study.side_records)]
     if study.agreement is not None:
         sentences.append(study.agreement.sentence)
     if study.next is not None:

@@ -39,6 +39,7 @@ from diffsea.recordings.conditioning import in_sequence, on_one_clock, share_a_c
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.fit import compare_fit
 from diffsea.report.predictions import ComparedRun, compare, horizon_table
+from diffsea.report.wording.caveats import side_sentences
 from diffsea.report.wording.terminal import verdict_text
 from diffsea.simulation.actuation import how_actuated, with_common_feedback
 from diffsea.simulation.order_units import order_doubts, require_order_units, unit_findings
@@ -177,7 +178,9 @@ class FitResult(Tabulated):
     def notes(self) -> list[str]:
         following = [] if self.study.next is None else [f"next: {self.study.next.sentence}"]
         sources = [] if self.study.sources is None else self.study.sources.sentences
-        told = [self.study.anchor, *self.study.identifiability.sentences, *sources, *following]
+        sides = side_sentences(self.study.side_records)
+        told = [self.study.anchor, *self.study.identifiability.sentences, *sides]
+        told += [*sources, *following]
         told += [left_out_sentence(self.left_out)] if self.left_out else []
         return [*told, self.verdict.sentence]
 

@@ -40,3 +40,12 @@ def straight_sentence(runs: int) -> str:
         return ""
     which = "one run" if runs == 1 else f"{runs} runs"
     return f"Nothing tells of drift and turning in {which}, taken as straight ahead."
+
+
+def side_sentences(sides: Sequence[Record]) -> list[str]:
+    """Pairs of thrusters that a fit found to differ, a sentence each."""
+    return [
+        f"As fitted, {one['weaker']} pushes {one['ratio']:.2f} +- {one['std']:.2f} times as much "
+        f"as {one['stronger']} at {one['share']:.0%} of full order."
+        for one in sides
+    ]

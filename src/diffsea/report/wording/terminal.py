@@ -3,7 +3,12 @@
 import textwrap
 
 from diffsea.report.quantities import duration, is_known, odds_or_bound
-from diffsea.report.wording.caveats import incomplete_sentence, sampling_sentence, straight_sentence
+from diffsea.report.wording.caveats import (
+    incomplete_sentence,
+    sampling_sentence,
+    side_sentences,
+    straight_sentence,
+)
 from diffsea.report.wording.findings import (
     alike_findings,
     finding_line,
@@ -76,6 +81,7 @@ def verdict_text(summary: Record) -> str:
             *audit,
             sampling_sentence(summary["one_sample_in"]),
             straight_sentence(summary["straight_runs"]),
+            *side_sentences(summary["sides"]),
         ],
         "next": [following],
     }
