@@ -8,9 +8,11 @@ import shutil
 from tests.faults.calls import Calls
 from tests.faults.commands import commands, contents, ended, temporary_files
 
+import diffsea
+
 
 ERRORS = (errno.ENOSPC, errno.EIO, errno.EACCES)
-PACKAGE = pathlib.Path(__file__).parents[2] / "src" / "diffsea"
+PACKAGE = pathlib.Path(diffsea.__file__).parent
 OLD = b"old"
 
 
