@@ -51,6 +51,20 @@ def test_a_stalled_fit_begins_again_where_the_data_allow_it_to(restarts):
         assert np.abs(start).max() > 0.1  # along the difference, which is known badly
 
 
+@pytest.mark.parametrize("wall", [np.nan, 1e5])
+def test_it_begins_nearer_where_the_filter_has_it_far_less_likely(restarts, monkeypatch, wall):
+    asked, ends = restarts
+    ends += [made_up(10.0 * k) for k in range(1, 1 + RESTARTS)]
+    settled(None, made_up(0.0))
+    before = asked[0]
+    near = 0.3 * np.abs(before).max()
+    walled = lambda _, at, noise: SimpleNamespace(deviance=wall if np.abs(at).max() > near else 1.0)
+    monkeypatch.setattr(fit, "filter_at", walled)
+    asked.clear()
+    settled(None, made_up(0.0))
+    assert asked[0] == pytest.approx(before / 4)
+
+
 def test_two_fits_that_end_alike_have_settled(restarts):
     asked, ends = restarts
     ends += [made_up(0.5)]

@@ -44,6 +44,8 @@ LEAST_GAIN = 0.02  # of -2 log posterior, below which a round is the last: no er
 RELATIVE_GAIN = 2e-7  # likewise, of its value: rounding of a long recording's sum
 RESTARTS = 2  # of a fit that stalled
 RESTART_DISTANCE = 2.0  # standard errors along each principal axis, that it starts from its end
+RESTART_RISE = 10.0  # times what its covariance says: where it is less likely still is too far
+RESTART_HALVINGS = 6
 STALLED_GAIN = 1.0  # a step that promised so much and was refused: one standard error away
 
 
@@ -244,10 +246,7 @@ def settled(
 ) -> Estimate:
     """A fit whose optimiser stalled, again from elsewhere until two fits end alike; else itself.
 
-    Elsewhere is as likely, by its covariance, as every principal axis being two standard errors
-    off: were coordinates that depend on one another moved each by itself, it would be far from
-    anything the data allow. What is compared with other fits must have ended, or the odds count
-    how far the search came.
+    What is compared with other fits must have ended, or the odds count how far the search came.
 
     Arguments:
         plainer: where models ended that this one contains. Begun there first, if that is likelier
@@ -267,15 +266,31 @@ def settled(
         if current_budget().skips("starting a stalled fit again"):
             break
         progress("the fit got stuck; once more from another start")
-        elsewhere = best.coordinates.copy()
-        root = np.linalg.cholesky(best.covariance)
-        elsewhere[best.index] += RESTART_DISTANCE * root @ rng.standard_normal(len(best.index))
-        other = estimate(problem, free, Start.beside(best, elsewhere), progress=progress)
+        other = estimate(problem, free, _elsewhere(problem, best, rng), progress=progress)
         is_same = abs(other.deviance - best.deviance) < STALLED_GAIN
         best = min(best, other, key=lambda one: np.nan_to_num(one.deviance, nan=np.inf))
         if is_same:
             return dataclasses.replace(best, outcome=FitOutcome.CONVERGED)
     return best
+
+
+def _elsewhere(problem: Problem, best: Estimate, rng: np.random.Generator) -> Start:
+    """Where a fit that stalled begins again: off by two standard errors along each principal axis.
+
+    Were coordinates that depend on one another moved each by itself, it would be far from anything
+    the data allow. Nearer, where the filter has it far less likely than its covariance does: that
+    is a tangent of what a kink or a dead band bends.
+    """
+    root = np.linalg.cholesky(best.covariance)
+    away = RESTART_DISTANCE * root @ rng.standard_normal(len(best.index))
+    most = best.deviance + RESTART_RISE * RESTART_DISTANCE**2 * len(best.index)
+    for _ in range(RESTART_HALVINGS):
+        there = best.coordinates.copy()
+        there[best.index] += away
+        if filter_at(problem, there, best.noise).deviance < most:
+            break
+        away = away / 2
+    return Start.beside(best, there)
 
 
 def _with_covariance(
