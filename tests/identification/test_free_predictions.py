@@ -280,6 +280,8 @@ def test_a_fit_says_that_something_is_missing_where_it_is_and_not_where_paramete
     off = FitVerdict(sufficiency(data, wrong), None, True)
     assert off.missing and "diffsea diagnose" in off.sentence
     assert "times the noise" in off.sentence and "times what gusts and noise" in off.sentence
+    assert "--starts" not in off.sentence
+    assert "`--starts 8` says" in dataclasses.replace(off, one_start=True).sentence
     record = off.as_dict()
     assert record["misfit"]["mean_square"] > record["misfit"]["limit"]
     assert record["motion"]["60"]["ratio"] > record["motion"]["60"]["limit"]

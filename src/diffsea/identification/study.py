@@ -258,7 +258,8 @@ class Study:
         train = self.problem
         data = self.split(test) if test else Split(train, train, None, (), tuple(recordings))
         numbers = None if self.sources is None else self.sources.p_value
-        return FitVerdict(sufficiency(data, self._filtered), numbers, bool(test))
+        one_start = self.agreement is None
+        return FitVerdict(sufficiency(data, self._filtered), numbers, bool(test), one_start)
 
 
 def with_noise(fitted: Estimate, problem: Problem) -> Estimate:

@@ -225,11 +225,13 @@ class FitVerdict:
         runs: how it does on runs; None where trial numbers alone were fitted.
         numbers: chance that trial numbers with their errors lie so far off; None without any.
         is_held_out: whether the runs were held out.
+        one_start: whether the fit had one start: another optimum may do better.
     """
 
     runs: Sufficiency | None
     numbers: float | None
     is_held_out: bool
+    one_start: bool = False
 
     @property
     def reasons(self) -> list[str]:
@@ -256,7 +258,9 @@ class FitVerdict:
             told = f"something is missing: {'; '.join(self.reasons)}. "
             if self.runs is None:
                 return f"{told}`diffsea diagnose` names it from recordings"
-            return f"{told}`diffsea diagnose` with the same vessel and recordings names it"
+            first = "`--starts 8` says whether a better fit was missed; if not, "
+            named = "`diffsea diagnose` with the same vessel and recordings names it"
+            return f"{told}{first if self.one_start else ''}{named}"
         if self.runs is not None and Shortfall.PARAMETERS in self.runs.shortfalls:
             return (
                 "these data do not tell whether something is missing: most parameters rest on the "
