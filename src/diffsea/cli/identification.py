@@ -44,8 +44,8 @@ def register(commands: options.Commands) -> None:
     objectives = options.LibraryNames(OBJECTIVES, "objective", TABLE_OF_OBJECTIVES)
     objective = "%(choices)s (default: innovation; trial-numbers for a sheet)"
     add_option(fit, "--objective", "O", objectives, objective, choices=objectives)
-    starts = "starts drawn from the priors, explored at once"
-    add_option(fit, "--starts", "N", options.count, starts, default=1)
+    starts = "starts drawn from the priors; else one, and 8 more if that leaves something missing"
+    add_option(fit, "--starts", "N", options.count, starts)
     profile = (
         "parameters whose intervals come from the profile likelihood, `none` for none (default: "
         "those whose likelihood is asymmetric)"

@@ -58,6 +58,7 @@ def multistart(
     seed: int = 0,
     progress: Progress = no_progress,
     besides: Starts | None = None,
+    known: Estimate | None = None,
 ) -> tuple[Estimate, Agreement | None]:
     """The best fit of all that is free from the prior mean and `count` - 1 draws of the prior.
 
@@ -68,11 +69,17 @@ def multistart(
     to their ends, those that lead to what cannot be only where all do. Starts agree where the
     exploration led them to one place, within the 99.9 % region of the fit.
 
+    A fit that is `known` counts as one start more: only the best one elsewhere is fitted then. A
+    fit that frees its noise at once may take for gusts what the noise expected beforehand, by
+    which starts are explored, leaves to the parameters.
+
     Raises:
         UserError: no start from which the model can be simulated.
     """
     spreads = np.array([p.spread for p in objective.parameters])
-    besides = np.zeros((1, len(spreads))) if besides is None else besides
+    if besides is None:
+        layout = None if objective.problem is None else objective.problem.layout
+        besides = np.zeros((1, len(spreads) if layout is None else layout.size))
     draws = np.zeros((count - 1, besides.shape[1]))
     drawn = np.random.default_rng(seed).normal(size=(count, len(spreads))) * spreads
     draws[:, : len(spreads)] = drawn[1:]
@@ -85,25 +92,34 @@ def multistart(
             "are negative) and at the recordings' units"
         )
     order = [k for k in np.lexsort((costs, _impossible(objective.problem, ends))) if finite[k]]
-    progress(f"{len(order)} of {len(starts)} starts explored; fitting from the best")
-    lead = ends[order[0]]
-    best = objective.fit(free, lead, progress)
-    if count == 1:
-        return best, None
+    told = f"{len(order)} of {len(starts)} starts explored"
+    if known is None:
+        progress(f"{told}; fitting from the best")
+        lead = ends[order[0]]
+        best = objective.fit(free, lead, progress)
+        if count == 1:
+            return best, None
+    else:
+        progress(told)
+        best, lead = known, known.coordinates
     near = [k for k in order if _same_optimum(best, ends[k] - lead)]
     apart = [k for k in order if k not in near]
-    rival = None
+    near_known, rival = int(known is not None), None
     if apart and not current_budget().skips("a fit from the best start elsewhere"):
         progress("fitting from the best start elsewhere")
+        data = objective.problem
         other = objective.fit(free, ends[apart[0]], progress)
-        beside = [k for k in apart if _same_optimum(best, ends[k] - ends[apart[0]])]
+        beside = [k for k in apart if _same_optimum(other, ends[k] - ends[apart[0]])]
         if _same_optimum(best, other.coordinates - best.coordinates):
             near += beside
         else:
+            if objective.problem is not data:  # it left out samples that the first one has
+                best = objective.fit(free, best.coordinates, progress)
+            rival = abs(other.deviance - best.deviance)
             if other.deviance < best.deviance:
-                best, other, near = other, best, beside
-            rival = other.deviance - best.deviance
-    return best, Agreement(len(starts), len(near), rival)
+                best, near, near_known = other, beside, 0
+    count = len(starts) + int(known is not None)
+    return best, Agreement(count, len(near) + near_known, rival)
 
 
 def _impossible(problem: Problem | None, ends: Starts) -> Bool[np.ndarray, "start"]:

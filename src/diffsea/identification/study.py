@@ -67,6 +67,7 @@ from diffsea.vessel.files import default_priors
 
 OBJECTIVES = ("innovation", "free-run", "trial-numbers")
 ANCHORS = ("mass", "thrust")
+MORE_STARTS = 8  # where a fit from one leaves something missing
 DETERMINED_SHARE = 0.9  # up to which a manoeuvre is looked for that would tell more
 INERTIA = ("mass", "I_z")
 # What fixes the common factor of mass, drag and thrust, by whether inertia and actuators are free.
@@ -93,7 +94,7 @@ class FitSettings:
     free: tuple[str, ...] | None = None
     anchor: str = "mass"
     priors: Mapping[str, Parameter | None] = dataclasses.field(default_factory=dict)
-    starts: int = 1
+    starts: int | None = None  # None: one, and `MORE_STARTS` where that leaves something missing
     profiles: tuple[str, ...] | None = None  # None: the asymmetric ones
     effects: tuple[str, ...] = ()  # of the catalogue, estimated besides
     per_recording: bool = False  # whether wind and current are each recording's own
@@ -253,13 +254,33 @@ class Study:
         Arguments:
             recordings: those that were fitted; none where trial numbers alone were.
         """
-        if self.problem is None:
-            return FitVerdict(None, float(chi2.sf(*self.objective.squares(self.estimate))), False)
-        train = self.problem
-        data = self.split(test) if test else Split(train, train, None, (), tuple(recordings))
-        numbers = None if self.sources is None else self.sources.p_value
         one_start = self.agreement is None
-        return FitVerdict(sufficiency(data, self._filtered), numbers, bool(test), one_start)
+        if self.problem is None or not test:
+            return verdict_on_fitted(self.objective, self._filtered, recordings, one_start)
+        found = sufficiency(self.split(test), self._filtered)
+        numbers = None if self.sources is None else self.sources.p_value
+        return FitVerdict(found, numbers, True, one_start)
+
+
+def verdict_on_fitted(
+    objective: AbstractObjective,
+    fitted: Estimate,
+    recordings: Sequence[Trajectory],
+    one_start: bool = True,
+) -> FitVerdict:
+    """Whether a model describes what it was fitted to, nothing being held out.
+
+    Arguments:
+        fitted: with the noise of a filter, where there are recordings.
+    """
+    train = objective.problem
+    if train is None:
+        chance = float(chi2.sf(*objective.squares(fitted)))
+        return FitVerdict(None, chance, False, one_start)
+    judged = sufficiency(Split(train, train, None, (), tuple(recordings)), fitted)
+    of_both = sources(objective, fitted)
+    numbers = None if of_both is None else of_both.p_value
+    return FitVerdict(judged, numbers, False, one_start)
 
 
 def with_noise(fitted: Estimate, problem: Problem) -> Estimate:
@@ -289,12 +310,17 @@ def identify(
     of_sheet = objective if isinstance(objective, TrialNumbers) else None
     besides = effect_starts(problem) if problem is not None else None
     besides = of_sheet.effect_starts() if of_sheet is not None else besides
-    if settings.starts > 1 or (besides is not None and len(besides) > 1):
-        fitted, agreement = multistart(
-            objective, names, settings.starts, settings.seed, progress, besides
-        )
+    count = settings.starts or 1
+    if count > 1 or (besides is not None and len(besides) > 1):
+        fitted, agreement = multistart(objective, names, count, settings.seed, progress, besides)
     else:
         fitted = objective.fit(names, progress=progress)
+        if settings.starts is None and _is_missing_something(objective, fitted, data):
+            progress("something is missing: is there a better fit elsewhere?")
+            known = fitted if np.isfinite(fitted.deviance) else None
+            fitted, agreement = multistart(
+                objective, names, MORE_STARTS, settings.seed, progress, besides, known
+            )
     require_possible(problem, fitted)
     wanted = settings.profiles
     if wanted is None:
@@ -330,6 +356,20 @@ def identify(
         {} if of_sheet is None else of_sheet.log10_odds(fitted, progress),
         () if problem is None else tuple(differing_sides(problem, fitted)),
     )
+
+
+def _is_missing_something(
+    objective: AbstractObjective, fitted: Estimate, data: Sequence[Trajectory | MeasuredTrial]
+) -> bool:
+    """Whether a fit diverges, or does not describe what it was fitted to."""
+    if current_budget().skips("a look for a better fit from other starts"):
+        return False
+    if not np.isfinite(fitted.deviance):
+        return True
+    problem = objective.problem
+    judged = fitted if problem is None else with_noise(fitted, problem)
+    recordings = [one for one in data if isinstance(one, Trajectory)]
+    return verdict_on_fitted(objective, judged, recordings).missing
 
 
 def require_possible(problem: Problem | None, fitted: Estimate) -> None:

@@ -194,7 +194,7 @@ def fit(
     free: Sequence[str] | None = None,
     anchor: str = "mass",
     priors: Mapping[str, Parameter | None] | None = None,
-    starts: int = 1,
+    starts: int | None = None,
     effects: Sequence[str] = (),
     per_recording: bool = False,
     progress: Progress = no_progress,
@@ -215,7 +215,8 @@ def fit(
         anchor: `mass` or `thrust`: what fixes the common factor of mass, drag and thrust.
         priors: of parameters that have another than the vessel file's own, or the usual one; None
             keeps a number fixed.
-        starts: how many starts are drawn from the priors.
+        starts: how many starts, the first at the prior mean and the others drawn from the priors;
+            one if None, and eight more where that fit leaves something missing.
         effects: names of the catalogue to estimate besides.
         per_recording: whether wind and current are each recording's own.
         profiles: parameters whose intervals come from the profile likelihood; those whose
@@ -240,7 +241,7 @@ def fit(
                 test=look.thinned(file.vessel, given.test),
             )
             samples = look.left_out(file.vessel, whole, [*given.recordings, *given.test])
-            not_done, profiles = look.of_fit(samples), profiles or ()
+            not_done, profiles, starts = look.of_fit(samples), profiles or (), starts or 1
         objective = objective or ("innovation" if given.recordings else "trial-numbers")
         settings = FitSettings(
             objective,

@@ -39,4 +39,5 @@ def of_diagnosis(samples: str) -> tuple[str, ...]:
 def of_fit(samples: str) -> tuple[str, ...]:
     """What a quick fit has not done."""
     intervals = "intervals from the profile likelihood"
-    return (*([samples] if samples else []), intervals, "the manoeuvre to record next")
+    again = "other starts, where something is missing"
+    return (*([samples] if samples else []), again, intervals, "the manoeuvre to record next")

@@ -11,7 +11,7 @@ from diffsea.budget import on_every_core
 from diffsea.identification.descent import filter_at
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.correlated_errors import independent_sampling, thin_channels
-from diffsea.identification.fit import Start, estimate
+from diffsea.identification.fit import Start, estimate, estimate_surely
 from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
 from diffsea.identification.problem import Coordinates, Names, Problem
 from diffsea.progress import Progress, no_progress
@@ -32,9 +32,10 @@ class Innovations(AbstractObjective):
     Of channels whose errors follow one another only samples count that err anew.
     """
 
-    def __init__(self, problem: Problem):
-        """Set up; `problem` loses the samples that fits leave out."""
+    def __init__(self, problem: Problem, keeps_samples: bool = False):
+        """Set up; `problem` loses the samples that fits leave out, unless it `keeps_samples`."""
         self.problem: Problem = problem
+        self.keeps_samples = keeps_samples
         self.base, self.parameters = problem.base, problem.layout.parameters
         self.effects = problem.layout.effects
         self.outliers, self.one_sample_in = {}, {}
@@ -44,8 +45,11 @@ class Innovations(AbstractObjective):
     ) -> Estimate:
         """Fit; where lone samples are impossible under the fit, leave them out and go on.
 
-        How seldom a channel errs anew is found in the first fit.
+        How seldom a channel errs anew is found in the first fit. Neither where samples are kept.
         """
+        if self.keeps_samples:
+            begin = None if start is None else Start(start)
+            return estimate_surely(self.problem, free, begin, progress)
         fitted = self._without_outliers(free, start, progress)
         if self.one_sample_in:
             return fitted
