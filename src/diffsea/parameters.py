@@ -35,7 +35,7 @@ def _name(path: tuple) -> str:
     for key in path:
         part = str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", key))))
         if part not in _SILENT and (not parts or parts[-1] != part):
-            parts.append(part)
+            parts.append(part.removeprefix(f"{parts[-1]}.") if parts else part)
     return ".".join(parts)
 
 

@@ -11,6 +11,8 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from diffsea.channels import is_azimuth
+
 
 if TYPE_CHECKING:
     from diffsea.checks import LogCheck
@@ -126,6 +128,7 @@ def _new_boat(logs: "Sequence[Checked]") -> str:
     log = f" --log {shlex.quote(str(path))}" if one.log.startswith("ardupilot") else ""
     fastest = max((_largest_order(each, "propeller") for _, each in logs), default=0.0)
     shaft = f" --shaft-speed {_rounded_up(fastest):g}" if fastest and drive == _PROPELLED else ""
+    shaft = shaft or _azimuth_shaft(logs)
     return f"--length M --beam M --mass KG {drive}{shaft}{log}" if drive else ""
 
 
@@ -137,7 +140,29 @@ def _drive(one: "LogCheck") -> str:
         return f"--thrusters M{unit}"
     if orders == {"rudder", "motor"}:
         return f"--rudder{unit}"
+    if turning := _azimuths(one):
+        return " ".join(f"--azimuth {name}=X" for name in turning)
     return _PROPELLED if orders in ({"rudder", "propeller"}, {"rudder"}) else ""
+
+
+def _azimuths(one: "LogCheck") -> list[str]:
+    """The names of azimuth thrusters, where a boat has no other drive."""
+    orders = {*one.run.commanded, *one.run.executed}
+    names = [name.removesuffix(".angle") for name in sorted(filter(is_azimuth, orders))]
+    known = {f"{name}.{part}" for name in names for part in ("force", "angle")}
+    return names if orders == known else []
+
+
+def _azimuth_shaft(logs: "Sequence[Checked]") -> str:
+    """Unit and largest shaft speed of azimuth thrusters whose column says that it is in rpm."""
+    _, one = logs[0]
+    columns = [one.channels.get(f"{p}{n}.force") for n in _azimuths(one) for p in ("cmd_", "exec_")]
+    told = [column for column in columns if column is not None]
+    if not told or not all("rpm" in column.source.lower() for column in told):
+        return ""
+    names = [f"{name}.force" for name in _azimuths(one)]
+    fastest = max(_largest_order(each, name) for _, each in logs for name in names)
+    return f" --unit rpm --shaft-speed {_rounded_up(fastest / 60):g}" if fastest else ""
 
 
 def _largest_order(one: "LogCheck", channel: str) -> float:

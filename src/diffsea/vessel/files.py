@@ -44,6 +44,7 @@ _WRITTEN_AS = {
         for end, short in (("lower", "min"), ("upper", "max"))
         for channel in ("", "force.")
     },
+    **{f"force.{key}": (key,) for key in ("time_constant", "rate_limit", "deadband", "sharpness")},
     "angle.lower": ("min_angle",),
     "angle.upper": ("max_angle",),
     "angle.time_constant": ("angle_time_constant",),

@@ -1,6 +1,7 @@
 """`diffsea new`: a vessel file from what a boat's owner knows, and from a log's parameters."""
 
 import argparse
+import math
 import pathlib
 import shlex
 import sys
@@ -19,6 +20,7 @@ from diffsea.outside.printable import printable
 if TYPE_CHECKING:
     from diffsea.recordings.known.autopilot_parameters import AutopilotParameters, ServoOutput
     from diffsea.vessel.estimates import (
+        Azimuths,
         DerivativeEstimate,
         MotorScale,
         Outline,
@@ -48,13 +50,24 @@ def register(commands: options.Commands) -> None:
         ("--thrusters", "M", "two thrusters, so many metres between their axes"),
         ("--thrust", "N", "full thrust ahead of each thruster, N (default: drag at top speed)"),
         ("--propeller", "M", "diameter of the propeller ahead of the rudder, m"),
-        ("--shaft-speed", "REV/S", "its largest speed, rev/s (default: holds the top speed)"),
+        (
+            "--shaft-speed",
+            "REV/S",
+            "its largest speed, rev/s (default: holds the top speed), or "
+            "that of thrusters ordered in rpm or rev/s",
+        ),
     ):
         add_option(new, flag, metavar, options.positive, text)
     density = "of the water, kg/m^3"
     add_option(new, "--water-density", "RHO", options.positive, density, default=1025.0)
     rudder = "a rudder, its area in m^2 (without a number: usual), behind a thruster or propeller"
     add_option(new, "--rudder", "AREA", options.positive, rudder, nargs="?", const=True)
+    azimuth = (
+        "an azimuth thruster by the name of its channels, X m ahead of amidships (negative aft) "
+        "and Y m to starboard (0 where left out); once for each"
+    )
+    kind = azimuth_place
+    add_option(new, "--azimuth", "NAME=X[,Y]", kind, azimuth, action="append", default=[])
     unit = f"of the thrusters' orders: {', '.join(UNITS)} (default: us, pulse width)"
     add_option(new, "--unit", "UNIT", options.OneOf(UNITS, "unit"), unit)
     turned = "motors whose larger orders are astern: port, starboard, motor (default: by the log)"
@@ -75,6 +88,7 @@ def new_command(args: argparse.Namespace) -> None:
       diffsea new
       diffsea new boat.toml --length 1.4 --beam 0.93 --mass 22 --thrusters 0.66
       diffsea new boat.toml --length 1.4 --beam 0.93 --mass 22 --thrusters 0.66 --log boat.bin
+      diffsea new ferry.toml --length 5 --beam 2.8 --mass 1800 --azimuth fore=1.8 --azimuth aft=-1.8
       diffsea new launch.toml --hull monohull --length 6 --beam 2.1 --mass 900 --rudder 0.05
       diffsea new ship.toml --hull ship --length 54 --beam 11.1 --draught 3.3 --mass 1.1e6
     """
@@ -85,8 +99,8 @@ def new_command(args: argparse.Namespace) -> None:
     elif missing:
         args.usage_error(f"{', '.join(missing)} missing; in a terminal it is asked for")
     check_target(args.file, args.force)
-    if args.thrusters is not None and args.rudder is not None:
-        args.usage_error("give either --thrusters or --rudder")
+    if sum((args.thrusters is not None, args.rudder is not None, bool(args.azimuth))) > 1:
+        args.usage_error("give one of --thrusters, --rudder and --azimuth")
     from diffsea.vessel.estimates import Known, hull_estimates, outline_of, vessel_text
     from diffsea.vessel.files import VesselFile, build
 
@@ -114,6 +128,20 @@ def new_command(args: argparse.Namespace) -> None:
     _write(args.file, text)
     record = _record(args.file, file.vessel.units, outline, hull, told)
     print(json_text(record) if args.json else printable(_summary(record, args.log)))
+
+
+def azimuth_place(text: str) -> tuple[str, tuple[float, float]]:
+    """NAME=X[,Y] as a name and where its thruster sits (m). Raises `ArgumentTypeError`."""
+    name, equals, place = text.partition("=")
+    try:
+        x, y = [*map(float, place.split(",")), 0.0][:2]
+    except ValueError:
+        x = y = math.nan
+    if not (name and equals and math.isfinite(x) and math.isfinite(y) and place.count(",") < 2):
+        raise argparse.ArgumentTypeError(
+            f"an azimuth thruster is NAME=X or NAME=X,Y (m), such as bow=1.8, not {text!r}"
+        )
+    return name, (x, y)
 
 
 def check_target(file: pathlib.Path, force: bool) -> None:
@@ -193,23 +221,34 @@ def _drive(
     outline: "Outline",
     parameters: "AutopilotParameters | None",
     told: list[str],
-) -> "Thrusters | RudderDrive":
-    """Thrusters of both sides, or a rudder behind a thruster or a propeller."""
+) -> "Thrusters | RudderDrive | Azimuths":
+    """Thrusters of both sides, azimuth thrusters, or a rudder behind a thruster or a propeller."""
     from diffsea.recordings.known.autopilot_parameters import THROTTLE
-    from diffsea.vessel.estimates import RudderDrive, Thrusters
+    from diffsea.vessel.actuators.thrust_curve import PER_REVOLUTION
+    from diffsea.vessel.estimates import Azimuths, RudderDrive, Thrusters
 
     sides = {} if parameters is None else _sides(parameters)
     has_sides = bool(sides) and None not in sides.values()
     is_steered = args.rudder is not None or (
         args.thrusters is None and not has_sides and outline.form in ("monohull", "ship")
     )
-    common: dict[str, Any] = {"unit": args.unit or "us", "full_thrust": args.thrust}
+    unit = args.unit or "us"
+    common: dict[str, Any] = {"unit": unit, "full_thrust": args.thrust}
+    if unit in PER_REVOLUTION:
+        common["shaft_speed"] = args.shaft_speed
     if parameters is not None and args.reversed:
         raise UserError("--log says which motors are reversed; leave --reversed out")
     if parameters is not None and parameters.thrust_asymmetry > 1:
         common["astern_ratio"] = 1 / parameters.thrust_asymmetry
+    if args.azimuth:
+        if args.log is not None:
+            raise UserError("the log of an autopilot says nothing of --azimuth; leave --log out")
+        places = dict(args.azimuth)
+        if len(places) < len(args.azimuth):
+            raise UserError("two azimuth thrusters have one name; give each its own")
+        return Azimuths(places, Thrusters(tuple(places), reversed=args.reversed, **common))
     if not is_steered:
-        if args.shaft_speed is not None:
+        if args.shaft_speed is not None and unit not in PER_REVOLUTION:
             raise UserError("--shaft-speed is that of a propeller ahead of a rudder; give --rudder")
         if parameters is not None and not has_sides:
             raise UserError(
@@ -220,7 +259,8 @@ def _drive(
         return Thrusters(spacing=args.thrusters, scales=scales, reversed=args.reversed, **common)
     area = None if args.rudder is True else args.rudder
     in_pulses = outline.form != "ship" or args.unit is not None or parameters is not None
-    if not in_pulses or args.propeller is not None or args.shaft_speed is not None:
+    by_shaft = args.shaft_speed is not None and unit not in PER_REVOLUTION
+    if not in_pulses or args.propeller is not None or by_shaft:
         return RudderDrive(area, args.propeller, shaft_speed=args.shaft_speed)
     throttle = None if parameters is None else parameters.output(THROTTLE)
     scales = {} if throttle is None else {"motor": _scale(throttle, args.log)}
@@ -238,11 +278,14 @@ def _scale(output: "ServoOutput", log: pathlib.Path) -> "MotorScale":
     return MotorScale(output.trim, output.full_ahead, output.full_astern, output.is_reversed, said)
 
 
-def _thrust_at_top(args: argparse.Namespace, drive: "Thrusters | RudderDrive") -> float | None:
+def _thrust_at_top(
+    args: argparse.Namespace, drive: "Thrusters | RudderDrive | Azimuths"
+) -> float | None:
     """All thrust (N) at the top speed, where both are given."""
-    from diffsea.vessel.estimates import RudderDrive
+    from diffsea.vessel.estimates import Azimuths, RudderDrive
 
     thrusters = drive.thruster if isinstance(drive, RudderDrive) else drive
+    thrusters = thrusters.thrusters if isinstance(thrusters, Azimuths) else thrusters
     if args.thrust is None or args.top_speed is None or thrusters is None:
         return None
     return args.thrust * len(thrusters.names)

@@ -12,7 +12,7 @@ from diffsea.errors import UserError
 
 
 HULLS = ("catamaran", "monohull", "barge", "ship")  # as the library has them
-UNITS = ("us", "percent", "normalised", "N")
+UNITS = ("us", "percent", "normalised", "rpm", "rev/s", "N")
 
 
 def ask_what_is_missing(

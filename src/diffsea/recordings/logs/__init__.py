@@ -8,5 +8,6 @@ from diffsea.recordings.logs.reading import FORMATS as FORMATS
 from diffsea.recordings.logs.reading import contents as contents
 from diffsea.recordings.logs.reading import format_of as format_of
 from diffsea.recordings.logs.reading import is_log as is_log
+from diffsea.recordings.logs.reading import log_table as log_table
 from diffsea.recordings.logs.reading import read_log as read_log
 from diffsea.recordings.logs.streams import LogFormat as LogFormat

@@ -1,5 +1,6 @@
 """MATLAB's `.mat` files: every structure a stream, with the vectors in it as fields."""
 
+import collections
 import dataclasses
 import json
 import os
@@ -15,6 +16,7 @@ from diffsea.outside.sizes import check_size, current_limit
 from diffsea.recordings.logs import mat_child
 from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, list_fields
 from diffsea.recordings.mappings import Mapping
+from diffsea.trajectory import Samples
 
 
 _SECONDS = 120.0  # that reading a file may take
@@ -68,6 +70,22 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
             )
     there = [topic for topic in topics if topic in groups and groups[topic].arrays]
     return {topic: _stream(topic, groups, mapping) for topic in there}
+
+
+def table(path: Path) -> dict[str, Samples]:
+    """The vectors, and columns of matrices, that are as long as most are: those of one clock."""
+    series: dict[str, Samples] = {}
+    for topic, group in _groups(path).items():
+        for field, array in group.arrays.items():
+            name = f"{topic}:{field}".removeprefix(":")
+            if array.ndim == 1:
+                series[name] = array
+            elif array.ndim == 2 and min(array.shape) <= LONGEST_ARRAY:
+                columns = array.T if array.shape[0] >= array.shape[1] else array
+                series |= {f"{name}.{index}": one for index, one in enumerate(columns)}
+    lengths = collections.Counter(one.size for one in series.values() if one.size > 1)
+    usual = max(lengths, key=lambda size: (lengths[size], size), default=0)
+    return {name: one.astype(float) for name, one in series.items() if one.size == usual}
 
 
 def _groups(path: Path) -> dict[str, _Group]:

@@ -59,7 +59,14 @@ FORMATS = (
         parameters=tlog_csv.LOG.parameters,
     ),
     LogFormat("px4-ulg", (".ulg",), px4.contents, px4.streams, "px4"),
-    LogFormat("matlab", (".mat",), matlab.contents, matlab.streams, time_is_mapped=True),
+    LogFormat(
+        "matlab",
+        (".mat",),
+        matlab.contents,
+        matlab.streams,
+        time_is_mapped=True,
+        table=matlab.table,
+    ),
     LogFormat(
         "mcap-json",
         (".mcap",),
@@ -126,6 +133,16 @@ class LogChannels(NamedTuple):
 def is_log(path: Path) -> bool:
     """Whether a file is named like a log, or a folder is a ROS 2 bag or has tables of one run."""
     return format_of(path) is not None
+
+
+def log_table(path: Path) -> dict[str, Samples] | None:
+    """The fields of a log that is one table, by what a mapping calls them; None of any other file.
+
+    Raises:
+        UserError: it cannot be read.
+    """
+    form = format_of(path)
+    return None if form is None or form.table is None else form.table(path)
 
 
 def contents(path: Path) -> dict[str, list[str]]:

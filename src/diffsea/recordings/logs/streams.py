@@ -111,6 +111,7 @@ class LogFormat:
     holds: Callable[[Path], bool] | None = None
     told: str = "a log and"
     parameters: Callable[[Path], list[tuple[str, float]]] | None = None
+    table: Callable[[Path], dict[str, Samples]] | None = None
 
     @contextlib.contextmanager
     def packages(self, path: Path) -> Iterator[None]:

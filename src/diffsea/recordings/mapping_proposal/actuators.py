@@ -21,6 +21,7 @@ from diffsea.recordings.auditing.responses import (
     response_to,
     with_yaw_rate,
 )
+from diffsea.recordings.mapping_proposal.azimuths import azimuth_columns
 from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion
 from diffsea.recordings.mappings import UNITS
 from diffsea.recordings.motion import MeasuredMotion, motion_of
@@ -40,7 +41,11 @@ _FASTEST = 30.0  # rev/s of a propeller: beyond, the numbers are rpm
 _ANSWERED, _REVERSED = 0.9, 0.5
 _MOMENT = 0.005  # of a run, in which a column that stands does not move
 _STILL = 0.02  # of its range, that noise may move it then
+_PAIRED = 0.9  # probability that an angle and a power of one name are an azimuth thruster's
+_WHOLE_TURN = 2 * math.pi + 0.05  # rad: beyond, an angle is in degrees
+_FORCES = ("N", "kN")
 _ENGINE = {"engine", "eng"}
+_MOST_SHARE = 150.0  # of an engine whose orders are shares: beyond, they are revolutions
 _ROTATING = {"rpm", "rps", "n", "propeller", "prop", "shaft", "drehzahl", "revs"}
 
 
@@ -49,7 +54,8 @@ class ActuatorColumn:
     """One column that drives the vessel.
 
     Attributes:
-        role: one of `ROLES`, or `motor` for a propeller whose orders are no shaft speeds.
+        role: one of `ROLES`, `motor` for a propeller whose orders are no shaft speeds, or
+            `NAME.force` and `NAME.angle` of an azimuth thruster.
         sure: probability that the role, and `ordered`, are right.
         unit: one of `UNITS`, or empty where nothing tells it.
         ordered: whether it holds orders, rather than what was realised.
@@ -86,9 +92,13 @@ def find_actuators(
     `unnamed` are those whose names say nothing; the one that yaw answers best is taken for
     a rudder where no column is named as what turns the vessel.
     """
-    found, tried = [], runs[:_MOST_TRIED]
+    tried = runs[:_MOST_TRIED]
+    found = _azimuths(runs, suggestions)
+    turning = {one.column for one in found}
+    unnamed = [column for column in unnamed if column not in turning]
     for role in ROLES:
         columns = [c for c in runs[0].commanded if suggestions[c].weights[role] > NAMED]
+        columns = [c for c in columns if c not in turning]
         if role == "rudder":  # a pulse of no length is no angle, and no mapping can say so
             columns = [c for c in columns if not any(_has_lost_pulses(run, c) for run in runs)]
         for column in _order_and_answer(role, columns, suggestions, runs):
@@ -100,7 +110,7 @@ def find_actuators(
     if len({one.role for one in found} & set(SIDES)) == 1:  # of one side alone: something else's
         found = [one for one in found if one.role not in SIDES]
     found = _with_sides(found, tried)
-    if any(actuator.turns for actuator in found) or not unnamed:
+    if turning or any(actuator.turns for actuator in found) or not unnamed:
         return found
     best, chance = _most_answered(tried, unnamed)
     why = "yaw rate answers it best of the unnamed columns"
@@ -113,6 +123,29 @@ def find_actuators(
     rudder = _actuator(best, "rudder", chance, suggestions[best], runs, verdicts)
     reason = f"{why}; {rudder.reason}"
     return [*found, dataclasses.replace(rudder, reason=reason, is_named=False)]
+
+
+def _azimuths(runs: list[Trajectory], suggestions: dict[str, Suggestion]) -> list[ActuatorColumn]:
+    """Azimuth thrusters: power and angle of each, whose signs no single answer tells."""
+    found = []
+    for one in azimuth_columns(list(runs[0].commanded), suggestions):
+        others = {"force": one.angle, "angle": one.power}
+        for part, column in (("force", one.power), ("angle", one.angle)):
+            suggestion, reason = suggestions[column], f"named like {others[part]!r}"
+            values = np.concatenate([_finite(run, column) for run in runs])
+            unit = suggestion.unit if suggestion.unit in _FORCES else ""
+            if part == "angle":
+                degrees = float(np.max(np.abs(values), initial=0.0)) > _WHOLE_TURN
+                unit = "deg" if suggestion.unit == "deg" or degrees else "rad"
+                reason += "; clockwise from ahead is taken for positive: look which way it pushes"
+            else:
+                reason += "; taken as it stands: the vessel file states the unit"
+                reason += f', "{suggestion.unit}"' if suggestion.unit in ("rpm", "rev/s") else ""
+            ordered, why, sure = _is_order(column, suggestion, runs)
+            role = f"{one.name}.{part}"
+            reason = f"an azimuth thruster, {reason}; {why}"
+            found.append(ActuatorColumn(column, role, sure * _PAIRED, unit, ordered, reason, 0))
+    return found
 
 
 def _most_answered(runs: list[Trajectory], columns: list[str]) -> tuple[str, float]:
@@ -212,6 +245,8 @@ def _actuator(
             unit = "deg" if largest > _LARGEST_RADIANS else "rad"
         elif role == "propeller" and suggestion.unit != "?" and _ROTATING & set(suggestion.words):
             unit = "rpm" if largest > _FASTEST else "rev/s"
+        elif role == "propeller" and not is_share and _ENGINE & set(suggestion.words):
+            unit = "rpm" if largest > _MOST_SHARE else ""
     if unit in ("rpm", "rev/s") and _ENGINE & set(suggestion.words):
         reason += "; revolutions of an engine: behind a gear the shaft's need scale = 1 / reduction"
     role = "motor" if role == "propeller" and is_share else role

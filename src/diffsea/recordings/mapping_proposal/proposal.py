@@ -7,6 +7,7 @@ import dataclasses
 import functools
 import json
 import math
+import re
 import textwrap
 import tomllib
 from collections.abc import Sequence
@@ -57,7 +58,6 @@ _PUSHES = {
     },
     "port": _SIDE_PUSHES,
     "starboard": _SIDE_PUSHES,
-    "thrust": {0: ""},
 }
 
 
@@ -161,11 +161,11 @@ def _foreign_names(path: Path) -> tuple[str, ...] | None:
     """The names of the columns of a file that is foreign, none where the disk fails; None of any
     other."""
     try:
-        if logs.is_log(path):
-            return None
-        layout = sniff_layout(path)
+        layout = None if logs.is_log(path) and not logs.log_table(path) else sniff_layout(path)
     except UserError as error:
         return () if isinstance(error.__cause__, OSError) else None
+    if layout is None:
+        return None
     how, names = layout.mapping, layout.names
     plain = (how.delimiter, how.decimal, how.encoding, how.header_lines) == (
         *(",", ".", "utf-8-sig"),
@@ -173,6 +173,7 @@ def _foreign_names(path: Path) -> tuple[str, ...] | None:
     )
     complete = "t" in names and any(name in MOTION_CHANNELS for name in names)
     native = plain and (complete or all(is_channel(name) for name in names))
+    native = native and not logs.is_log(path)
     return None if native else names
 
 
@@ -199,7 +200,7 @@ def _actuator_guesses(evidence: ProposalEvidence) -> list[ChannelGuess]:
             sign = -1.0
         unit = None if actuator.unit in _UNITS_WITHOUT_MENTION else actuator.unit
         channel = ("cmd_" if actuator.ordered else "exec_") + name
-        push = _PUSHES[actuator.role][actuator.push]
+        push = _PUSHES.get(actuator.role, {}).get(actuator.push, "")
         why = "; ".join(part for part in (actuator.reason, push) if part)
         found.append(
             ChannelGuess(
@@ -295,12 +296,12 @@ def _mapping_text(
     ]
     for guess in guesses:
         lines += _comment(f"{_level(guess.sure)} ({guess.sure:.2f}): {guess.why}.")
-        lines.append(f"{guess.channel} = {_column_value(guess.column)}")
+        lines.append(f"{_key(guess.channel)} = {_column_value(guess.column)}")
     for guess in doubted:
         better = _better_named(evidence, guess, guesses)
         lines += _comment(f"{_why_not_written(evidence, guess, guesses)}.")
         column = guess.column if better is None else Column(better)
-        lines.append(f"# {guess.channel} = {_column_value(column)}")
+        lines.append(f"# {_key(guess.channel)} = {_column_value(column)}")
     used = {name for guess in guesses for name in guess.column.names} | {evidence.clock.column}
     unused = [name for name in evidence.layout.names if name and name not in used]
     if unused:
@@ -356,6 +357,11 @@ def _comment(text: str) -> list[str]:
 
 def _quoted(name: str) -> str:
     return json.dumps(name, ensure_ascii=False)
+
+
+def _key(channel: str) -> str:
+    """A channel as a key of TOML."""
+    return channel if re.fullmatch(r"[A-Za-z0-9_-]+", channel) else _quoted(channel)
 
 
 def _column_value(column: Column) -> str:

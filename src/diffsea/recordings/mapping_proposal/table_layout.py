@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from diffsea.errors import UserError
+from diffsea.recordings import logs
 from diffsea.recordings.mapping_proposal.names import UNIT_WORDS, unit_in
 from diffsea.recordings.mappings import Column, Mapping
 from diffsea.recordings.rotations import ANGLES, quaternions_in
@@ -50,7 +51,7 @@ class TableLayout:
         mapping: reads the table, every named column as a channel. It lists `columns` only where
             the header cannot be split as the rows are.
         named: false where the names were made up.
-        text: false for Parquet.
+        text: false for Parquet and logs.
     """
 
     names: tuple[str, ...]
@@ -61,13 +62,15 @@ class TableLayout:
 
 
 def sniff_layout(path: Path) -> TableLayout:
-    """The layout of a CSV-like or Parquet file.
+    """The layout of a CSV-like or Parquet file, or of a log that is one table.
 
     Raises:
         UserError: it is no file, or no table of numbers of at least two columns.
     """
-    if path.suffix.lower() in PARQUET_SUFFIXES:
-        names = tuple(map(str, read_table(path, None).table.columns))
+    logged = logs.log_table(path)
+    if logged is not None or path.suffix.lower() in PARQUET_SUFFIXES:
+        columns = read_table(path, None).table.columns if logged is None else logged
+        names = tuple(map(str, columns))
         mapping = Mapping({name: Column(name) for name in names})
         return TableLayout(names, tuple(unit_in(name) for name in names), mapping, text=False)
     lines, encoding = _first_lines(path)
@@ -88,7 +91,8 @@ def numeric_columns(path: Path, layout: TableLayout) -> dict[str, Samples]:
     without any number are left out. Of rotations there are the angles, in rad, and not the parts
     of their quaternions.
     """
-    table = read_table(path, layout.mapping).table
+    logged = logs.log_table(path)
+    table = read_table(path, layout.mapping).table if logged is None else pd.DataFrame(logged)
     turned = {
         start: parts
         for start, parts in quaternions_in(table.columns).items()

@@ -7,6 +7,7 @@ with where it comes from. Everything is plain numbers in SI units. May import sc
 the units of thrusters' orders.
 """
 
+from diffsea.vessel.estimates.drives import Azimuths as Azimuths
 from diffsea.vessel.estimates.drives import MotorScale as MotorScale
 from diffsea.vessel.estimates.drives import RudderDrive as RudderDrive
 from diffsea.vessel.estimates.drives import Thrusters as Thrusters

@@ -12,16 +12,18 @@ from collections.abc import Mapping
 import numpy as np
 
 from diffsea.errors import UserError, nearest
-from diffsea.vessel.actuators.thrust_curve import SCALES
+from diffsea.vessel.actuators.thrust_curve import PER_REVOLUTION, SCALES
 from diffsea.vessel.base import OrderUnit
 from diffsea.vessel.estimates.outline import Outline
 from diffsea.vessel.estimates.scatter import WIDEST, DerivativeEstimate
 
 
-THRUST_UNITS: tuple[OrderUnit, ...] = ("us", "percent", "normalised", "N")
+THRUST_UNITS: tuple[OrderUnit, ...] = ("us", "percent", "normalised", "rpm", "rev/s", "N")
 EXPONENT, EXPONENT_WIDTH = 1.5, 0.3  # between thrust in proportion to orders and to their square
+SHAFT_EXPONENT, SHAFT_EXPONENT_WIDTH = 2.0, 0.1  # of a shaft speed, whose square thrust follows
 ASTERN, ASTERN_WIDTH = 0.7, 0.4  # thrust full astern over ahead (Fossen 2021: 0.58 of the Otter)
 LAG, LAG_WIDTH = 0.2, 1.0  # s; thrusters of small craft: under 0.1 s to 1 s (the Otter's)
+TURNING_LAG = 0.5  # s, of an azimuth thruster's angle
 KNOWN_THRUST_WIDTH = 0.15  # of a stated full thrust
 TOP_SPEED_WIDTHS = {True: 0.1, False: 0.3}  # by whether the top speed is known
 MAX_ANGLE = math.radians(35)
@@ -59,7 +61,8 @@ class Thrusters:
 
     `spacing` (m) is the distance of their axes; None takes that of the demihulls, or half the beam
     of a single hull. `full_thrust` (N) is that of one of them. `scales` are by name; `reversed` are
-    the names of those whose larger orders are astern, where there is no scale.
+    the names of those whose larger orders are astern, where there is no scale. `shaft_speed`
+    (rev/s) is the largest of those that are ordered by it.
     """
 
     names: tuple[str, ...] = ("port", "starboard")
@@ -69,6 +72,7 @@ class Thrusters:
     astern_ratio: float | None = None
     scales: Mapping[str, MotorScale] = dataclasses.field(default_factory=dict)
     reversed: tuple[str, ...] = ()
+    shaft_speed: float | None = None
 
     def parts(
         self, outline: Outline, hull: Mapping[str, DerivativeEstimate], top_speed_known: bool
@@ -76,12 +80,13 @@ class Thrusters:
         """The thrusters' tables.
 
         Raises:
-            UserError: a unit that estimates cannot do with, or thrusters outside the beam.
+            UserError: shaft speeds of which the largest is not known, or thrusters outside the
+                beam.
         """
-        if self.unit not in THRUST_UNITS:
+        if self.unit in PER_REVOLUTION and self.shaft_speed is None:
             raise UserError(
-                f"thrusters are ordered in {', '.join(THRUST_UNITS)} here, not in {self.unit}; "
-                "change the file for another unit"
+                f"thrusters ordered in {self.unit} need the largest shaft speed: --shaft-speed, in "
+                "rev/s"
             )
         spacing, why = self.spacing, "as given"
         if spacing is None:
@@ -112,8 +117,9 @@ class Thrusters:
                 made.append(Part("thruster", table, reasons, {"time_constant": LAG_WIDTH}))
                 continue
             curve, told = self._curve(thrust, said)
-            widths = {"full_thrust": width, "exponent": EXPONENT_WIDTH}
-            widths["astern_ratio"] = ASTERN_WIDTH
+            turns = self.unit in PER_REVOLUTION
+            bend = SHAFT_EXPONENT_WIDTH if turns else EXPONENT_WIDTH
+            widths = {"full_thrust": width, "exponent": bend, "astern_ratio": ASTERN_WIDTH}
             of_scale, of_ends = self._scale(name)
             made.append(
                 Part(
@@ -142,19 +148,65 @@ class Thrusters:
     def _curve(self, thrust: float, said: str) -> tuple[dict[str, float], dict[str, str]]:
         """The thrust curve and what it rests on."""
         astern = ASTERN if self.astern_ratio is None else self.astern_ratio
-        told = {"full_thrust": said, "exponent": "assumed: between linear and quadratic"}
+        exponent, why = EXPONENT, "assumed: between linear and quadratic"
+        if self.unit in PER_REVOLUTION:
+            exponent, why = SHAFT_EXPONENT, "the square of the shaft speed"
+        told = {"full_thrust": said, "exponent": why}
         given = self.astern_ratio is not None
         told["astern_ratio"] = "1 / MOT_THST_ASYM of the log" if given else "assumed"
-        return {"full_thrust": thrust, "exponent": EXPONENT, "astern_ratio": astern}, told
+        return {"full_thrust": thrust, "exponent": exponent, "astern_ratio": astern}, told
 
     def _scale(self, name: str) -> tuple[dict[str, object], dict[str, str]]:
         """Unit, neutral and ends of the orders, and what they rest on."""
-        usual = MotorScale(*SCALES[self.unit], reversed=name in self.reversed)
+        if self.unit in PER_REVOLUTION and self.shaft_speed is not None:
+            most = self.shaft_speed * PER_REVOLUTION[self.unit]
+            usual = MotorScale(0.0, most, -most, name in self.reversed, "as given")
+        else:
+            usual = MotorScale(*SCALES[self.unit], reversed=name in self.reversed)
         scale = self.scales.get(name, usual)
         ends = {key: getattr(scale, key) for key in ("neutral", "full_ahead", "full_astern")}
         table: dict[str, object] = {"unit": self.unit, **ends}
         table |= {"reversed": True} if scale.reversed else {}
         return table, dict.fromkeys(ends, f"{self.unit}, {scale.said_by}")
+
+
+@dataclasses.dataclass(frozen=True)
+class Azimuths:
+    """Thrusters that turn, by name at (x, y): m ahead of amidships, m to starboard.
+
+    `thrusters` says all else of them; its names are theirs.
+    """
+
+    places: Mapping[str, tuple[float, float]]
+    thrusters: Thrusters
+
+    def parts(
+        self, outline: Outline, hull: Mapping[str, DerivativeEstimate], top_speed_known: bool
+    ) -> list[Part]:
+        """The azimuth thrusters' tables.
+
+        Raises:
+            UserError: one that lies outside the hull, or what `Thrusters.parts` refuses.
+        """
+        made = []
+        for part in self.thrusters.parts(outline, hull, top_speed_known):
+            x, y = self.places[str(part.table["name"])]
+            if abs(x) > 0.6 * outline.length or abs(y) > 0.75 * outline.beam:
+                raise UserError(
+                    f"azimuth thruster {part.table['name']!r} at {x:g} m ahead of amidships and "
+                    f"{y:g} m to starboard lies outside a hull of {outline.length:g} m by "
+                    f"{outline.beam:g} m"
+                )
+            placed = {"x": x, "y": y, "angle_time_constant": TURNING_LAG}
+            why = dict.fromkeys(("x", "y"), "m, as given")
+            why["angle_time_constant"] = "s, assumed: a pod that turns to its angle"
+            widths = {"angle.time_constant": LAG_WIDTH} | {
+                "force.time_constant" if key == "time_constant" else key: width
+                for key, width in part.widths.items()
+            }
+            table, reasons = part.table | placed, part.reasons | why
+            made.append(Part("azimuth_thruster", table, reasons, widths))
+        return made
 
 
 @dataclasses.dataclass(frozen=True)

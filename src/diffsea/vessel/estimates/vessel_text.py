@@ -93,7 +93,7 @@ def _part_lines(part: Part) -> list[str]:
 
 def _line(key: str, value: object, told: str) -> str:
     written = f"{key} = {_written(value)}"
-    return f"{written:<24}# {told}" if told else written
+    return f"{written:<23} # {told}" if told else written
 
 
 def _prior_line(name: str, width: dict[str, float]) -> str:

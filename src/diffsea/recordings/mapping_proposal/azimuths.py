@@ -1,0 +1,74 @@
+"""Columns of azimuth thrusters: for each a shaft speed or thrust, and the angle that turns it.
+
+Both are called alike but for the words that say which is which: `bow_rpm` and `bow_angle_deg`.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from diffsea.recordings.mapping_proposal.names import Suggestion
+
+
+_ANGLES = {"angle", "azimuth", "azi", "alpha", "winkel"}
+_POWERS = {"rpm", "rps", "revs", "n", "drehzahl", "force", "thrust", "throttle", "power", "pwm"}
+_UNITS = {"deg", "degree", "degrees", "rad", "us", "percent", "pct", "newton", "kn"}
+_ORDERS = {"order", "ordered", "orders", "cmd", "command", "commanded", "setpoint", "sp", "ref"}
+_REALISED = {"actual", "feedback", "fb", "measured", "meas", "act", "state"}
+# What has an angle and revolutions, or a force, but does not turn its thrust all round.
+_OTHERS = {
+    *("rudder", "wheel", "helm", "sail", "boom", "wind", "crane", "heading", "course", "roll"),
+    *("pitch", "yaw", "heel", "trim", "phase", "blade", "engine", "propeller", "prop", "shaft"),
+}
+
+
+class AzimuthColumns(NamedTuple):
+    """The columns of one azimuth thruster.
+
+    Attributes:
+        name: the words that both have in common.
+        power: of its shaft speed or thrust.
+        angle: of its angle.
+    """
+
+    name: str
+    power: str
+    angle: str
+
+
+def azimuth_columns(
+    names: Sequence[str], suggestions: Mapping[str, Suggestion]
+) -> list[AzimuthColumns]:
+    """Azimuth thrusters among columns, those that are named alike but for angle and power."""
+    powers: dict[tuple[str, ...], str] = {}
+    angles: dict[tuple[str, ...], str] = {}
+    for name in names:
+        if suggestions[name].best in ("psi", "phi", "wind_direction", "wind_speed"):
+            continue
+        words = _words(name)
+        told = frozenset(words)
+        if told & _OTHERS and "azimuth" not in told:
+            continue
+        of = angles if told & _ANGLES else powers if told & _POWERS else None
+        if of is not None:
+            of.setdefault(_in_common(words), name)
+    return [
+        AzimuthColumns("_".join(words[1:]), powers[words], angle)
+        for words, angle in angles.items()
+        if words in powers
+    ]
+
+
+def _in_common(words: Sequence[str]) -> tuple[str, ...]:
+    """What a power and an angle of one thruster share: first whether both are orders."""
+    told = set(words)
+    kind = "order" if told & _ORDERS else "realised" if told & _REALISED else ""
+    rest = [word for word in words if word not in _ANGLES | _POWERS | _UNITS | _ORDERS | _REALISED]
+    return kind, *([] if rest and rest[0].isalpha() else ["azimuth"]), *rest
+
+
+def _words(name: str) -> list[str]:
+    """The words of a name, and its numbers, in small letters; units in brackets left out."""
+    bare = re.sub(r"[\[(<{].*?[\])>}]", " ", name)
+    bare = re.sub(r"([a-z])([A-Z])", r"\1 \2", bare)
+    return [word.lower() for word in re.findall(r"[A-Za-zäöüß]+|\d+", bare)]
