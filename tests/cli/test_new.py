@@ -5,6 +5,7 @@ import json
 import sys
 import tomllib
 
+import numpy as np
 import pytest
 from tests.paths import EXPERIMENTS, ROOT
 from tests.recordings import driven_boat
@@ -14,6 +15,7 @@ from tests.recordings.test_autopilot_parameters import TWIN, log  # noqa: F401
 from diffsea import read_vessel
 from diffsea.cli import main
 from diffsea.cli.vessels import new
+from diffsea.types import State
 from diffsea.vessel.estimates import FORMS
 from diffsea.vessel.estimates.drives import (
     ASTERN,
@@ -26,6 +28,7 @@ from diffsea.vessel.estimates.hull import INERTIA_WIDTH
 from diffsea.vessel.estimates.outline import GYRATION
 
 
+AZIMUTH = {"force": "percent", "angle": "rad"}
 SIZE = ("--length", "1.4", "--beam", "0.93", "--mass", "22")
 
 
@@ -77,9 +80,53 @@ def test_every_form_and_drive_makes_a_vessel(made):
         ((*SIZE, "--unit", "N", "--thrust", "30"), {"port": "N", "starboard": "N"}),
         (("--hull", "monohull", *SIZE, "--rudder", "0.02"), {"motor": "us", "rudder": "rad"}),
         (("--hull", "ship", *SIZE, "--propeller", "0.1"), {"propeller": "rev/s", "rudder": "rad"}),
+        (
+            (*SIZE, "--azimuth", "fore=0.5", "--azimuth", "aft=-0.6,0.1", "--unit", "percent"),
+            {f"{one}.{part}": unit for one in ("fore", "aft") for part, unit in AZIMUTH.items()},
+        ),
+        (
+            (*SIZE, "--unit", "rpm", "--shaft-speed", "40"),
+            {"port": "rpm", "starboard": "rpm"},
+        ),
     ):
         path, said = made("boat.toml", *words, "--force", "--json")
         assert json.loads(said.out)["channels"] == units == read_vessel(path).vessel.units
+
+
+def test_azimuth_thrusters_sit_where_they_are_said_to_and_their_lags_are_free(made):
+    path, _ = made("boat.toml", *SIZE, "--azimuth", "fore=0.5", "--azimuth", "aft=-0.6,0.1",
+                   "--unit", "rpm", "--shaft-speed", "25", "--thrust", "40")  # fmt: skip
+    file = read_vessel(path)
+    fore, aft = (file.vessel.actuators[name] for name in ("fore", "aft"))
+    assert (fore.x, fore.y, aft.x, aft.y) == (0.5, 0.0, -0.6, 0.1)
+    assert {"fore.force.time_constant", "aft.angle.time_constant"} <= set(file.priors)
+    full = {c: 1500.0 if c.endswith("force") else 0.0 for c in file.vessel.channels}
+    pushed = fore.force({c: full[c] for c in fore.servos}, State(*[0.0] * 6), {})
+    np.testing.assert_allclose(float(pushed.X), 40.0, rtol=1e-6)
+    half = fore.force({c: 0.5 * full[c] for c in fore.servos}, State(*[0.0] * 6), {})
+    np.testing.assert_allclose(float(half.X), 10.0, rtol=1e-3)
+
+
+@pytest.mark.parametrize("words, said", [
+    (("--azimuth", "fore"), "NAME=X"),
+    (("--azimuth", "fore=1,2,3"), "NAME=X"),
+    (("--azimuth", "fore=nan"), "NAME=X"),
+    (("--azimuth", "fore=0.5", "--rudder"), "give one of"),
+])  # fmt: skip
+def test_an_azimuth_thruster_without_a_place_is_bad_usage(made, words, said):
+    _, told = made("boat.toml", *SIZE, *words, status=2)
+    assert said in told.err
+
+
+@pytest.mark.parametrize("words, said", [
+    (("--azimuth", "fore=2"), "outside a hull"),
+    (("--azimuth", "fore=0.5", "--azimuth", "fore=0"), "one name"),
+    (("--azimuth", "fore=0.5", "--unit", "rpm"), "--shaft-speed"),
+    (("--azimuth", "fore=0.5", "--shaft-speed", "25"), "--unit rpm"),
+])  # fmt: skip
+def test_an_azimuth_thruster_that_cannot_be_is_refused(made, words, said):
+    path, told = made("boat.toml", *SIZE, *words, status=1)
+    assert said in told.err and not path.exists()
 
 
 def test_the_autopilots_parameters_say_what_drives_which_side(made, log):  # noqa: F811

@@ -375,6 +375,19 @@ def test_one_reversed_thruster():
         assert finding.channels == ("cmd_" + name,)
 
 
+def test_a_propeller_of_a_ship_that_goes_its_way_pushes_that_way():
+    """Its shaft turns faster in turns, in which speed falls: a regression has it push astern."""
+    run = recording("random", 4)
+    turns = (np.asarray(run.t) % 60 < 30).astype(float)
+    noise = 0.002 * np.random.default_rng(0).normal(size=len(turns))
+    speed = {"u": 2.0 - 0.6 * smoothed(turns, 0.05) + noise}
+    speed |= dict.fromkeys(("x", "y", "psi", "v", "r"), np.full(len(turns), np.nan))
+    ahead = {"commanded": {}, "executed": {"propeller": 3.0 + turns}}
+    assert "sign" not in kinds(edited(run, **speed, **ahead))
+    either_way = ahead | {"executed": {"propeller": 5.0 * turns - 3.0}}
+    assert "sign" in kinds(edited(run, **speed, **either_way))
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("late", [0, 30])
 def test_an_autopilot_in_waves_is_no_reversed_rudder(seed, late):

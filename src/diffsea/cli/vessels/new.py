@@ -246,6 +246,8 @@ def _drive(
         places = dict(args.azimuth)
         if len(places) < len(args.azimuth):
             raise UserError("two azimuth thrusters have one name; give each its own")
+        if args.shaft_speed is not None and unit not in PER_REVOLUTION:
+            raise UserError("--shaft-speed is that of orders in rpm or rev/s: give --unit rpm")
         return Azimuths(places, Thrusters(tuple(places), reversed=args.reversed, **common))
     if not is_steered:
         if args.shaft_speed is not None and unit not in PER_REVOLUTION:

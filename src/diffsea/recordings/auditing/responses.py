@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from diffsea.channels import is_rudder, side_of
+from diffsea.pulses import are_pulses
 from diffsea.recordings.auditing.edits import Affine, Swap
 from diffsea.recordings.auditing.finding import Finding, finding_of, words_and_names, wrong_sign
 from diffsea.recordings.auditing.thrust_axes import thrust_axes_findings
@@ -35,6 +36,7 @@ _DEAD_RUDDER = 0.02  # share of the yaw rate's variance below which a rudder doe
 _DEAD_THRUSTER = 0.3  # effect of a thruster, relative to its partner's, below which it is dead
 _SMALLEST_ANGLE = np.radians(4.0)  # range of a rudder whose response is looked for
 _BUSY_RUDDER = np.radians(16.0)  # range of a rudder that would turn the vessel if it moved
+_ALONG = 0.9  # mean of +1 where a vessel goes the way its propeller turns, and -1 where it does not
 _NOTABLE_SHARE = 0.2  # of thrust: less may be no more than an error of a thrust table
 
 _MIRRORED = (
@@ -208,7 +210,7 @@ def _group_findings(motion: MeasuredMotion, series: dict[str, Samples]) -> list[
                 text = _TURNS.format(channel=words_and_names(name), side=side)
                 found.append(_reversed_actuator(name, response, "yaw", text))
         elif _has(name, _PROPELLERS):
-            if np.ptp(values) < _NOTABLE_SHARE * np.max(np.abs(values)):
+            if np.ptp(values) < _NOTABLE_SHARE * np.max(np.abs(values)) or _drives(motion, values):
                 continue
             response = _response_of_one(motion, "u", values)
             if response.sound and response.gains[0] <= 0:
@@ -218,6 +220,18 @@ def _group_findings(motion: MeasuredMotion, series: dict[str, Samples]) -> list[
         names = (port[0], starboard[0])
         found += _thruster_pair(motion, names, series[port[0]], series[starboard[0]])
     return found
+
+
+def _drives(motion: MeasuredMotion, values: Samples) -> bool:
+    """Whether a vessel goes, nearly always, the way that a propeller turns.
+
+    Then it pushes that way, whatever a regression makes of turns, in which speed falls and the
+    shaft's does not.
+    """
+    if are_pulses(values) or not motion.has("u"):
+        return False
+    same = np.sign(values) * np.sign(motion.values["u"])
+    return float(np.mean(same[motion.known["u"]])) > _ALONG
 
 
 def _has(channel: str, words: tuple[str, ...]) -> bool:

@@ -47,13 +47,13 @@ def azimuth_columns(
             continue
         words = _words(name)
         told = frozenset(words)
-        if told & _OTHERS and "azimuth" not in told:
-            continue
         of = angles if told & _ANGLES else powers if told & _POWERS else None
+        if of is angles and told & _OTHERS and "azimuth" not in told:
+            continue
         if of is not None:
             of.setdefault(_in_common(words), name)
     return [
-        AzimuthColumns("_".join(words[1:]), powers[words], angle)
+        AzimuthColumns(re.sub(r"_(\d)", r"\1", "_".join(words[1:])), powers[words], angle)
         for words, angle in angles.items()
         if words in powers
     ]
