@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.io import savemat
 from tests.disguises import Disguise, choose, disguise, judged
 from tests.oracle.make_recordings import load, produce
 from tests.paths import DATA, EXPERIMENTS, ORACLE
@@ -15,6 +16,7 @@ from diffsea.cli import main
 from diffsea.recordings.mapping_proposal import is_foreign, suggest_labels
 from diffsea.recordings.mapping_proposal import proposal as proposal_module
 from diffsea.recordings.mapping_proposal.proposal import SURE
+from diffsea.recordings.mapping_proposal.table_layout import sniff_layout
 
 
 pytestmark = pytest.mark.slow
@@ -482,6 +484,32 @@ def test_with_json_the_message_goes_elsewhere(runs, tmp_path, capsys):
     (finding,) = json.loads(printed.out)
     assert finding["kind"] == "time-step" and "not audited" in finding["message"]
     assert "mapping was proposed" in printed.err
+
+
+def test_a_matlab_file_of_one_clock_is_a_table(runs, tmp_path):
+    """Its vectors as columns; what has another length, and what is no vector, stays out."""
+    native = runs["random-fast"]
+    columns = {name: native[name].to_numpy() for name in native}
+    motion = np.stack([columns["x"], columns["y"]], axis=1)
+    nav = {"time": columns["t"], "pos": motion, "surge": columns["u"], "sway": columns["v"]}
+    nav |= {"heading": np.degrees(columns["psi"]), "yaw_rate": columns["r"][:, None]}
+    orders = {name: columns[name] for name in columns if name.startswith("cmd_")}
+    savemat(tmp_path / "run.mat", {"nav": nav, **orders, "short": np.arange(7.0), "place": "lake"})
+    assert is_foreign(tmp_path / "run.mat")
+    proposal = propose_mapping(tmp_path / "run.mat")
+    named = {channel: column.column for channel, column in proposal.mapping.channels.items()}
+    told = {"t": "nav:time", "x": "nav:pos.0", "y": "nav:pos.1", "psi": "nav:heading",
+            "u": "nav:surge", "v": "nav:sway", "r": "nav:yaw_rate"}  # fmt: skip
+    assert told.items() <= named.items() and proposal.mapping.channels["psi"].unit == "deg"
+    run = read_recording(tmp_path / "run.mat", proposal.mapping)
+    np.testing.assert_allclose(run.u, columns["u"])
+    np.testing.assert_allclose(np.sin(run.psi - columns["psi"]), 0.0, atol=1e-9)
+
+
+def test_a_log_whose_topics_have_clocks_of_their_own_is_no_table(tmp_path):
+    quick, slow = np.arange(200) * 0.1, np.arange(40) * 0.5
+    savemat(tmp_path / "run.mat", {"t": quick, "yaw": np.sin(quick), "fix": {"t": slow, "x": slow}})
+    assert sniff_layout(tmp_path / "run.mat").names == ("t", "yaw")
 
 
 def test_native_files_need_no_proposal(runs, tmp_path):
