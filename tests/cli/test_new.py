@@ -107,10 +107,19 @@ def test_azimuth_thrusters_sit_where_they_are_said_to_and_their_lags_are_free(ma
     np.testing.assert_allclose(float(half.X), 10.0, rtol=1e-3)
 
 
+def test_an_antenna_has_its_own_motion(made):
+    file = read_vessel(made("boat.toml", *SIZE, "--antenna", "-0.4,0.1")[0])
+    at = State(0.0, 0.0, np.pi / 2, 1.0, 0.0, 0.5)
+    x, y, _, u, v, _ = file.vessel.sensors.measure(at, at, at)
+    # Heading east: behind is west, starboard south; turning to starboard the stern goes to port.
+    np.testing.assert_allclose([x, y, u, v], [-0.1, -0.4, 0.95, -0.2], atol=1e-9)
+
+
 @pytest.mark.parametrize("words, said", [
+    (("--antenna", "here"), "a place is"),
     (("--azimuth", "fore"), "NAME=X"),
-    (("--azimuth", "fore=1,2,3"), "NAME=X"),
-    (("--azimuth", "fore=nan"), "NAME=X"),
+    (("--azimuth", "fore=1,2,3"), "a place is"),
+    (("--azimuth", "fore=nan"), "a place is"),
     (("--azimuth", "fore=0.5", "--rudder"), "give one of"),
 ])  # fmt: skip
 def test_an_azimuth_thruster_without_a_place_is_bad_usage(made, words, said):
@@ -119,6 +128,7 @@ def test_an_azimuth_thruster_without_a_place_is_bad_usage(made, words, said):
 
 
 @pytest.mark.parametrize("words, said", [
+    (("--antenna", "3"), "is not on a boat"),
     (("--azimuth", "fore=2"), "outside a hull"),
     (("--azimuth", "fore=0.5", "--azimuth", "fore=0"), "one name"),
     (("--azimuth", "fore=0.5", "--unit", "rpm"), "--shaft-speed"),

@@ -2,6 +2,7 @@
 
 import argparse
 import difflib
+import re
 import sys
 from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
@@ -34,7 +35,7 @@ class Parser(argparse.ArgumentParser):
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> tuple[Any, list[str]]:
         """As argparse does, once every word is known to be one."""
-        words = sys.argv[1:] if args is None else list(args)
+        words = _with_negative_lists(sys.argv[1:] if args is None else args)
         commands = self._commands()
         if commands:
             first = next((word for word in words if not word.startswith("-")), None)
@@ -61,6 +62,18 @@ class Parser(argparse.ArgumentParser):
         near = difflib.get_close_matches(word, [name for name in known if len(name) > 2], n=1)
         meant = f"did you mean {near[0]!r}?" if near else f"{self.prog} --help lists them"
         self.error(f"there is no {what} {word!r}; {meant}")
+
+
+def _with_negative_lists(words: Sequence[str]) -> list[str]:
+    """Words with `--option -1,2` as `--option=-1,2`: argparse takes the list for an option."""
+    joined: list[str] = []
+    for word in words:
+        is_value = bool(joined) and joined[-1].startswith("--") and "=" not in joined[-1]
+        if is_value and re.fullmatch(r"-[\d.]+(,-?[\d.]+)+", word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 class GivenOnce(argparse.Action):

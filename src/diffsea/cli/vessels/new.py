@@ -68,6 +68,11 @@ def register(commands: options.Commands) -> None:
     )
     kind = azimuth_place
     add_option(new, "--azimuth", "NAME=X[,Y]", kind, azimuth, action="append", default=[])
+    antenna = (
+        "place of the antenna whose positions and velocities are recorded, X m ahead of amidships "
+        "and Y m to starboard (default: amidships)"
+    )
+    add_option(new, "--antenna", "X[,Y]", place, antenna)
     unit = f"of the thrusters' orders: {', '.join(UNITS)} (default: us, pulse width)"
     add_option(new, "--unit", "UNIT", options.OneOf(UNITS, "unit"), unit)
     turned = "motors whose larger orders are astern: port, starboard, motor (default: by the log)"
@@ -88,6 +93,7 @@ def new_command(args: argparse.Namespace) -> None:
       diffsea new
       diffsea new boat.toml --length 1.4 --beam 0.93 --mass 22 --thrusters 0.66
       diffsea new boat.toml --length 1.4 --beam 0.93 --mass 22 --thrusters 0.66 --log boat.bin
+      diffsea new boat.toml --length 1.4 --beam 0.93 --mass 22 --thrusters 0.66 --antenna -0.3
       diffsea new ferry.toml --length 5 --beam 2.8 --mass 1800 --azimuth fore=1.8 --azimuth aft=-1.8
       diffsea new launch.toml --hull monohull --length 6 --beam 2.1 --mass 900 --rudder 0.05
       diffsea new ship.toml --hull ship --length 54 --beam 11.1 --draught 3.3 --mass 1.1e6
@@ -121,7 +127,8 @@ def new_command(args: argparse.Namespace) -> None:
     outline, top_known = outline_of(known), args.top_speed is not None
     drive = _drive(args, outline, parameters, told)
     hull = hull_estimates(outline, _thrust_at_top(args, drive))
-    text = vessel_text(args.file.stem, outline, hull, drive.parts(outline, hull, top_known))
+    parts = drive.parts(outline, hull, top_known)
+    text = vessel_text(args.file.stem, outline, hull, parts, args.antenna)
     document = tomllib.loads(text)
     file = VesselFile(build(document), document, str(args.file))
     assert file.priors
@@ -132,16 +139,26 @@ def new_command(args: argparse.Namespace) -> None:
 
 def azimuth_place(text: str) -> tuple[str, tuple[float, float]]:
     """NAME=X[,Y] as a name and where its thruster sits (m). Raises `ArgumentTypeError`."""
-    name, equals, place = text.partition("=")
-    try:
-        x, y = [*map(float, place.split(",")), 0.0][:2]
-    except ValueError:
-        x = y = math.nan
-    if not (name and equals and math.isfinite(x) and math.isfinite(y) and place.count(",") < 2):
+    name, _, where = text.partition("=")
+    if not name or not where:
         raise argparse.ArgumentTypeError(
             f"an azimuth thruster is NAME=X or NAME=X,Y (m), such as bow=1.8, not {text!r}"
         )
-    return name, (x, y)
+    return name, place(where)
+
+
+def place(text: str) -> tuple[float, float]:
+    """X[,Y] as m ahead of amidships and to starboard. Raises `ArgumentTypeError`."""
+    parts = text.split(",")
+    try:
+        x, y = [*map(float, parts), 0.0][:2]
+    except ValueError:
+        x = y = math.nan
+    if len(parts) > 2 or not (math.isfinite(x) and math.isfinite(y)):
+        raise argparse.ArgumentTypeError(
+            f"a place is X or X,Y (m ahead, m to starboard), such as 0.4,-0.1, not {text!r}"
+        )
+    return x, y
 
 
 def check_target(file: pathlib.Path, force: bool) -> None:

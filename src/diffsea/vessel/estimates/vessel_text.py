@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import tomli_w
 
+from diffsea.errors import UserError
 from diffsea.vessel.estimates import added_mass, lateral, resistance
 from diffsea.vessel.estimates.drives import Part
 from diffsea.vessel.estimates.outline import Outline
@@ -17,7 +18,11 @@ SOURCE = (
 
 
 def vessel_text(
-    name: str, outline: Outline, hull: Mapping[str, DerivativeEstimate], parts: Sequence[Part]
+    name: str,
+    outline: Outline,
+    hull: Mapping[str, DerivativeEstimate],
+    parts: Sequence[Part],
+    antenna: tuple[float, float] | None = None,
 ) -> str:
     """A vessel file (TOML) of an outline, its derivatives and its actuators.
 
@@ -25,6 +30,11 @@ def vessel_text(
         name: of the vessel.
         hull: derivatives and added masses by name.
         parts: the actuators, each under a name of its own.
+        antenna: where it sits whose positions and velocities are recorded, m ahead of amidships
+            and to starboard.
+
+    Raises:
+        UserError: an antenna outside the hull.
     """
     lines = ["format = 1", tomli_w.dumps({"name": name, "source": SOURCE})]
     lines += [f"# A {outline.form}. Taken where nothing was said:"] if outline.assumed else []
@@ -35,6 +45,7 @@ def vessel_text(
     lines += [_line(one.name, one.value, reason(one)) for one in hull.values()]
     for part in parts:
         lines += ["", f"[[{part.kind}]]", *_part_lines(part)]
+    lines += [] if antenna is None else ["", "[[effect]]", *_antenna_lines(outline, *antenna)]
     lines += [
         "",
         "# What is known of these numbers before any recording, for `diffsea fit` and `diagnose`:",
@@ -77,6 +88,21 @@ def _body_lines(outline: Outline) -> list[str]:
         ("I_z", outline.I_z, f"kg m^2, assumed: radius of gyration 0.25 L{in_hulls}"),
     )
     return [_line(*row) for row in rows]
+
+
+def _antenna_lines(outline: Outline, x: float, y: float) -> list[str]:
+    """The entry of the catalogue for an antenna off amidships."""
+    if abs(x) > outline.length or abs(y) > outline.beam:
+        raise UserError(
+            f"the antenna at {x:g} m ahead of amidships and {y:g} m to starboard is not on a boat "
+            f"of {outline.length:g} m by {outline.beam:g} m"
+        )
+    return [
+        _line("name", "lever-arm", "of the antenna"),
+        _line("x", x, "m ahead of amidships, as given"),
+        _line("y", y, "m to starboard, as given"),
+        _line("channels", ["x", "y", "u", "v"], "velocities are the antenna's own, too"),
+    ]
 
 
 def _part_lines(part: Part) -> list[str]:
