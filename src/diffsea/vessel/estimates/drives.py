@@ -198,8 +198,8 @@ class Azimuths:
                     f"{outline.beam:g} m"
                 )
             placed = {"x": x, "y": y, "angle_time_constant": TURNING_LAG}
-            why = dict.fromkeys(("x", "y"), "m, as given")
-            why["angle_time_constant"] = "s, assumed: a pod that turns to its angle"
+            turning = "s, assumed: a pod that turns to its angle"
+            why = {"x": "m, as given", "y": "m, as given", "angle_time_constant": turning}
             widths = {"angle.time_constant": LAG_WIDTH} | {
                 "force.time_constant" if key == "time_constant" else key: width
                 for key, width in part.widths.items()
