@@ -62,6 +62,23 @@ def at_zero(name):
     return jnp.zeros(len(EFFECTS[name].sizes(VESSEL)))
 
 
+@pytest.mark.parametrize("end, weak", [("fore", "bow"), ("aft", "stern")])
+def test_a_change_at_one_end_is_of_the_thrusters_there(end, weak):
+    pods = [{"name": name, "x": x, "y": 0.3} for name, x in (("bow", 1.5), ("stern", -1.5))]
+    vessel = build({**DOCUMENT, "thruster": [], "azimuth_thruster": pods})
+    effect = EFFECTS[f"thrust-change:{end}"]
+    assert effect.possible(vessel) and not effect.possible(VESSEL)
+    assert effect.place.in_file(vessel) == {"actuators": [f"{weak}.force"]}
+    changed = effect.apply(vessel, jnp.array([-0.5, 10.0]))
+    ahead = {f"{name}.{part}": 80.0 * (part == "force") for name in ("bow", "stern")
+             for part in ("force", "angle")}  # fmt: skip
+    still = State(*[0.0] * 6)
+    for t, share in ((0.0, 1.0), (20.0, 0.75)):
+        whole, less = (one.breakdown(still, ahead, one.environment, t) for one in (vessel, changed))
+        total = [sum(float(force.X) for force in forces.values()) for forces in (whole, less)]
+        np.testing.assert_allclose(total[1], share * total[0], rtol=1e-6)
+
+
 @pytest.mark.parametrize("name", POSSIBLE)
 def test_a_vessel_without_an_effect_and_with_a_noticeable_one_is_within_its_bounds(name):
     effect = EFFECTS[name]

@@ -147,6 +147,7 @@ class Losses(eqx.Module):
 class AbstractPropulsor(AbstractActuator):
     """An actuator that drives the vessel ahead, with losses on its thrust."""
 
+    x: eqx.AbstractVar[Scalar]  # m forward of amidships
     losses: eqx.AbstractVar[Losses]
     diameter: eqx.AbstractVar[Scalar | None]  # m, of a screw's disc; None where it is not known
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from diffsea.errors import UserError, nearest
 from diffsea.scales import GRAVITY, froude_speed
 from diffsea.types import Scalar
-from diffsea.vessel.base import AbstractActuator, Vessel
+from diffsea.vessel.base import AbstractActuator, AbstractPropulsor, Vessel
 from diffsea.vessel.effects.coordinates import Bound, Size, vessel_time
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
@@ -26,9 +26,10 @@ from diffsea.vessel.servo import Servo
 from diffsea.vessel.tables import Table, check_keys, needed
 
 
-Kind = Literal["propulsion", "steering", "port", "starboard"]
+Kind = Literal["propulsion", "steering", "port", "starboard", "fore", "aft"]
 KINDS: tuple[Kind, ...] = ("propulsion", "steering")
 SIDES: dict[Kind, int] = {"port": -1, "starboard": 1}  # sign of y
+ENDS: dict[Kind, int] = {"fore": 1, "aft": -1}  # sign of x
 EACH_SIDE = (*KINDS, *SIDES)  # of what one side alone is as likely to have as all
 ORDER_UNIT = "N or rev/s"  # the unit of a number on any vessel's propulsion
 RUDDER_ANGLE = 0.6  # rad, the largest of a vessel that states none: 35 deg
@@ -39,19 +40,21 @@ THRUST_TO_WEIGHT = 0.05  # of a vessel that states no largest thrust
 
 @dataclasses.dataclass(frozen=True)
 class OrderedChannels(Place):
-    """Channels that push (thrusts and shaft speeds), or steer (angles), or push on one side."""
+    """Channels that push (thrusts, shaft speeds), or steer (angles), or push on one side or end."""
 
     kind: Kind
 
     def all_on(self, vessel: Vessel) -> tuple[str, ...]:
         """Their names on a vessel."""
-        side, steers = SIDES.get(self.kind, 0), self.kind == "steering"
+        side, end = SIDES.get(self.kind, 0), ENDS.get(self.kind, 0)
+        steers = self.kind == "steering"
         return tuple(
             channel
             for part in vessel.actuators.values()
             for channel in part.servos
             if (part.channels[channel].role == "steering") == steers
             and (side == 0 or side * float(part.y) > 0)
+            and (end == 0 or isinstance(part, AbstractPropulsor) and end * float(part.x) > 0)
         )
 
     def in_file(self, vessel: Vessel) -> dict[str, list[str]]:

@@ -20,6 +20,7 @@ from diffsea.vessel.actuators.thrusters import AbstractThruster
 from diffsea.vessel.base import AbstractActuator, AbstractPropulsor, Vessel
 from diffsea.vessel.characteristics import Characteristic, limit_of_loss, loss_of_limit
 from diffsea.vessel.effects.actuators import (
+    ENDS,
     ORDER_UNIT,
     SIDES,
     OrderedChannels,
@@ -70,6 +71,12 @@ def _has_two_sides(vessel: Vessel) -> bool:
     """Whether thrusters stand on both sides of the centreline."""
     sides = [float(part.y) for part in vessel.propulsors.values()]
     return any(y < 0 for y in sides) and any(y > 0 for y in sides)
+
+
+def _has_two_ends(vessel: Vessel) -> bool:
+    """Whether thrusters stand ahead of amidships and behind."""
+    ends = [float(part.x) for part in vessel.propulsors.values()]
+    return any(x < 0 for x in ends) and any(x > 0 for x in ends)
 
 
 @thrust_effect(
@@ -171,24 +178,26 @@ def thrust_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
     return add_force(vessel, "thrust-change", Change(at[0], at[1], "thrust"))
 
 
-def _change_on_side(side: Literal["port", "starboard"]) -> Effect:
-    """A change of the thrust on one side: weed, a damaged propeller, a weak battery."""
+def _change_of_some(where: Literal["port", "starboard", "fore", "aft"]) -> Effect:
+    """A change of the thrust on one side or at one end: weed, a damaged propeller, a battery."""
+    on_side = where in SIDES
+    sign = SIDES[where] if on_side else ENDS[where]
 
     @thrust_effect(
-        f"thrust-change:{side}",
+        f"thrust-change:{where}",
         *_CHANGE,
         phrase="a thrust of {actuators} that is {factor:%} {factor:larger|smaller} from "
         "{time:size} on",
         confusables=("thrust-asymmetry", "actuator-bias", "gyro-bias"),
-        possible=_has_two_sides,
-        place=OrderedChannels(side),
+        possible=_has_two_sides if on_side else _has_two_ends,
+        place=OrderedChannels(where),
         read=_read_change,
     )
     def change(vessel: Vessel, at: CoordinateValues) -> Vessel:
-        """The thrusts of one side times (1 + factor) from `time` on the run's clock."""
-        # By `where`: under JAX an actuator's place is not known.
+        """The thrusts of one side or end times (1 + factor) from `time` on the run's clock."""
+        # Not by `if`: under JAX an actuator's place is not known.
         shares = {
-            name: jnp.where(jnp.sign(part.y) == SIDES[side], 1.0, 0.0)
+            name: jnp.where(jnp.sign(part.y if on_side else part.x) == sign, 1.0, 0.0)
             for name, part in vessel.propulsors.items()
         }
         return add_force(vessel, "thrust-change", Change(at[0], at[1], "thrust", shares))
@@ -429,7 +438,7 @@ THRUST = (
     thrust_loss_with_speed,
     thrust_loss_in_turns,
     thrust_change,
-    *(_change_on_side(side) for side in ("port", "starboard")),
+    *(_change_of_some(where) for where in ("port", "starboard", "fore", "aft")),
     thrust_curve,
     thrust_law,
     propeller_side_force,
