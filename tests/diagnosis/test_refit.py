@@ -350,6 +350,23 @@ def test_sizes_that_no_vessel_has_are_impossible_as_far_as_errors_tell():
 
 
 @pytest.mark.parametrize(
+    ("sizes", "possible"),
+    [((1.0, 0.4, 0.5), True), ((-1.0, -0.4, 0.5), True), ((1.0, -0.4, 0.5), False),
+     ((-0.2, 0.1, 0.0), False), ((0.0, 1.0, -1.0), True)],
+)  # fmt: skip
+def test_added_masses_of_opposite_signs_are_no_vessels(sizes, possible):
+    name = "added-mass-coupling"
+    problem = still_problem(name)
+    index = np.array(problem.layout.indices((name,)))
+    coordinates = np.zeros(problem.layout.size)
+    coordinates[index] = sizes
+    fitted = dataclasses.replace(
+        linear_estimate((name,), size=3), coordinates=coordinates, index=index
+    )
+    assert is_physical(problem, fitted, candidate(name, np.ones((3, 3)))) == possible
+
+
+@pytest.mark.parametrize(
     ("time", "possible"), [(-2.0, False), (0.0, False), (6.0, True), (19.2, False), (19.5, False)]
 )
 def test_a_change_happens_while_something_is_recorded(time, possible):

@@ -8,6 +8,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
@@ -331,7 +332,8 @@ def is_physical(problem: Problem, fitted: Estimate, candidate: Candidate) -> boo
             return False
     least, most = np.array(effect.bounds(problem.base)).T / effect.sizes(problem.base)
     within = (values > least - TOLERANCE * stds) & (values < most + TOLERANCE * stds)
-    if not within.all():
+    sized = jnp.asarray(values * effect.sizes(problem.base))
+    if not within.all() or not all(effect.plausible(effect.decode(problem.base, k)) for k in sized):
         return False
     if effect.scanned is None:
         return True

@@ -13,6 +13,7 @@ from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, ANY, Bound, Ons
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
     Effect,
+    Numbers,
     Parametrisation,
     add_force,
     add_to,
@@ -175,6 +176,15 @@ def drag_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
     return add_force(vessel, "drag-change", Change(at[0], at[1], "resistance"))
 
 
+def _is_nearly_symmetric(numbers: Numbers) -> bool:
+    """Whether both added masses that couple sway and yaw have one sign.
+
+    In an ideal fluid they are one number (Newman 1977), and viscosity parts them
+    by less than their size. Of opposite signs they are what else is wrong with the motion.
+    """
+    return float(numbers.get("Y_rdot", 0.0)) * float(numbers.get("N_vdot", 0.0)) >= 0
+
+
 def _added_mass_coupling(variant: str, units: dict[str, str]) -> Effect:
     def is_possible(vessel: Vessel) -> bool:
         return float(vessel.added_mass.Y_rdot) == 0 and float(vessel.added_mass.N_vdot) == 0
@@ -196,6 +206,7 @@ def _added_mass_coupling(variant: str, units: dict[str, str]) -> Effect:
         phrase="an added mass that couples sway and yaw",
         confusables=("munk-moment", "speed-dependent-damping", "sway-yaw-coupling"),
         possible=is_possible,
+        plausible=_is_nearly_symmetric,
     )
     def off_diagonal(vessel: Vessel, at: CoordinateValues) -> Vessel:
         """Off-diagonal inertia m x_G - Y_rdot, m x_G - N_vdot (Fossen 2021, section 6.5)."""
