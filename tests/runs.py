@@ -35,6 +35,13 @@ def random_steps(
     rng = np.random.default_rng(seed)
     thrust = lambda: dict(zip(("port", "starboard"), rng.uniform(30, 210, 2), strict=True))
     orders = [(t, thrust()) for t in np.arange(0, seconds, 4.0)]
+    return ordered_run(document, orders, seconds, step, rng, effects, gust, noise)
+
+
+def ordered_run(
+    document, orders, seconds: float, step: float, rng, effects=None, gust=None, noise: float = 1.0
+) -> Trajectory:
+    """A run of the oracle with thrusts to both sides from some times on, as its sensors show it."""
     sim = simulate(document, orders, seconds, effects, gust=gust)
     t = np.arange(0.0, seconds, step)
     rec = sensors.record(sim, t, sensors.suite(noise), rng, wrapped=False)

@@ -33,6 +33,7 @@ from diffsea.identification.fit import normalised_rms
 from diffsea.identification.free_predictions import free_errors
 from diffsea.identification.holdout import HeldOut, held_out_coordinates
 from diffsea.identification.problem import Problem
+from diffsea.identification.uncertainty.onsets import onset_interval
 from diffsea.identification.uncertainty.sides import differing_sides
 from diffsea.vessel.effects import EFFECTS, Onset, catalogue_name
 from diffsea.vessel.files import Table, updated_document
@@ -238,8 +239,13 @@ def _effect(diagnosis: Diagnosis, accepted: AcceptedEffect) -> list[Record]:
                 entry["std"] *= 1.0 if constancy is None else constancy.scatter
                 off = float(norm.ppf(0.95)) * entry["std"]
                 entry["interval"] = [entry["value"] - off, entry["value"] + off]
-        for key, began in _began_in(diagnosis, accepted.name, parameters).items():
+        for key, (began, first, last) in _began_in(diagnosis, accepted.name, parameters).items():
             parameters[key] |= began
+            low, high = parameters[key]["interval"]
+            if low < first or high > last:  # the slope there says nothing
+                low, high = onset_interval(problem, diagnosis.final, accepted.name)
+                std = (high - low) / (2 * float(norm.ppf(0.95)))
+                parameters[key] |= {"std": std, "interval": [low, high]}
         record = {
             "name": catalogue_name(accepted.name),
             "parameters": parameters,
@@ -254,8 +260,12 @@ def _effect(diagnosis: Diagnosis, accepted: AcceptedEffect) -> list[Record]:
     return records
 
 
-def _began_in(diagnosis: Diagnosis, name: str, parameters: Mapping[str, Record]) -> Record:
+def _began_in(
+    diagnosis: Diagnosis, name: str, parameters: Mapping[str, Record]
+) -> dict[str, tuple[Record, float, float]]:
     """In which recording an onset lies, and how long (s) after its start, by the onset's key.
+
+    With the recording's first and last time.
 
     Nothing where none of them or more than one has that time on its clock, or there is but one.
     """
@@ -270,7 +280,8 @@ def _began_in(diagnosis: Diagnosis, name: str, parameters: Mapping[str, Record])
     of = [run for run in runs if run.t[0] <= time <= run.t[-1]]
     if len(of) != 1:
         return {}
-    return {key: {"recording": of[0].name, "since_start": time - float(of[0].t[0])}}
+    first, last = float(of[0].t[0]), float(of[0].t[-1])
+    return {key: ({"recording": of[0].name, "since_start": time - first}, first, last)}
 
 
 def _gain(hypothesis: Hypothesis) -> Record:
