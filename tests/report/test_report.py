@@ -820,6 +820,13 @@ def test_what_acts_on_some_actuators_says_on_which():
     assert phrase(weaker) == "a thrust that is 42 % smaller from 592 s on"
     told = phrase(weaker | {"actuators": ["starboard"]})
     assert told == "a thrust of the starboard actuator that is 42 % smaller from 592 s on"
+    told = phrase(weaker | {"actuators": ["bow.force", "stern.force"]})
+    assert "of the bow thruster and stern thruster that is" in told
+    slow = {
+        "name": "thrust-delay",
+        "parameters": {"delay": {"value": 0.3, "std": 0.1, "unit": "s"}},
+    }
+    assert "stern thruster's angle" in phrase(slow | {"actuators": ["stern.angle"]})
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))

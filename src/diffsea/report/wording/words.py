@@ -119,8 +119,16 @@ def acted_on(effect: Record) -> str:
 
 
 def _actuator_words(names: Sequence[str]) -> list[str]:
-    """Actuators in a phrase; those that have but the name of a side need a noun."""
-    return [f"{one} actuator" if one in SIDES else one for one in names] or ["actuators"]
+    """Actuators in a phrase; those that have but the name of a side or a place need a noun."""
+
+    def word(name: str) -> str:
+        thruster, _, part = name.partition(".")
+        of_azimuths = {"force": f"{thruster} thruster", "angle": f"{thruster} thruster's angle"}
+        if part in of_azimuths:
+            return of_azimuths[part]
+        return f"{name} actuator" if name in SIDES else name
+
+    return [word(name) for name in names] or ["actuators"]
 
 
 def phrases(effects: list[Record]) -> list[str]:
