@@ -2,6 +2,7 @@
 
 import collections
 import dataclasses
+import functools
 import json
 import os
 import subprocess
@@ -20,6 +21,7 @@ from diffsea.trajectory import Samples
 
 
 _SECONDS = 120.0  # that reading a file may take
+_KEPT = 8  # files whose content is kept
 
 
 @dataclasses.dataclass
@@ -96,16 +98,21 @@ def _groups(path: Path) -> dict[str, _Group]:
             f"{path} is a MATLAB 7.3 file (HDF5), which this does not read; load it in MATLAB and "
             "save it with save(name, '-v7')"
         )
-    return _groups_of_child(path)
+    state = path.stat()
+    return _groups_of_child(path, current_limit(), state.st_mtime_ns, state.st_size)
 
 
-def _groups_of_child(path: Path) -> dict[str, _Group]:
+@functools.lru_cache(maxsize=_KEPT)
+def _groups_of_child(path: Path, limit: int, changed: int, size: int) -> dict[str, _Group]:
     """What a process of its own reads, so that a file which ends the reader is a message.
+
+    A mapping is proposed by several looks at a file; `changed` (ns) and `size` say that it is the
+    same, and `limit` how many bytes it may expand to.
 
     Raises:
         UserError: the file is damaged, expands beyond the limit, or takes too long.
     """
-    words = [sys.executable, "-P", mat_child.__file__, str(path.resolve()), str(current_limit())]
+    words = [sys.executable, "-P", mat_child.__file__, str(path.resolve()), str(limit)]
     quiet = {"OPENBLAS_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}  # threads reserve memory
     with tempfile.TemporaryFile() as output:
         try:
@@ -133,6 +140,8 @@ def _groups_of_child(path: Path) -> dict[str, _Group]:
         for topic, names, unread in json.loads(output.readline()):
             read = np.lib.format.read_array
             arrays = {name: read(output, allow_pickle=False) for name in names}
+            for array in arrays.values():
+                array.flags.writeable = False  # whoever asks next has it, too
             groups[topic] = _Group(arrays, unread)
     return groups
 
