@@ -13,6 +13,7 @@ from diffsea.budget import current_budget
 from diffsea.diagnosis.bootstrap import Bootstrap
 from diffsea.diagnosis.decision import EVIDENCE, AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.hypotheses import Hypothesis
+from diffsea.diagnosis.onsets import with_likeliest_onset
 from diffsea.diagnosis.refits import (
     Refit,
     judge_exchanged,
@@ -145,6 +146,7 @@ def forward_search(
                 if not now.effects:
                     now = replace(now, nominal=better, nominal_screening=now.final_screening)
                 continue
+            best = with_likeliest_onset(data, now.final, best, progress)
             added, owed = (AcceptedEffect(best, tried),), tried.owed_beside(best)
         if current_budget().skips("the search for further effects"):
             return replace(now, complete=False)  # fits that judge these were cut short
