@@ -248,6 +248,7 @@ class Terminal(io.StringIO):
         ("\n\nlong\n1.4\n0.93\n22\n\n\n0.66\n\n", {"port": "us", "starboard": "us"}),
         ("\nship\n54\n11\n1.1e6\n6\n\n\n\n", {"propeller": "rev/s", "rudder": "rad"}),
         ("\nmonohull\n6\n2\n900\n\nrudder\n0.05\nN\n", {"motor": "N", "rudder": "rad"}),
+        ("\n\n1.4\n0.93\n22\n\n\n0.66\nrpm\n40\n", {"port": "rpm", "starboard": "rpm"}),
     ],
 )
 def test_alone_in_a_terminal_it_asks(made, monkeypatch, answers, units):

@@ -66,8 +66,8 @@ def register(commands: options.Commands) -> None:
         "an azimuth thruster by the name of its channels, X m ahead of amidships (negative aft) "
         "and Y m to starboard (0 where left out); once for each"
     )
-    kind = azimuth_place
-    add_option(new, "--azimuth", "NAME=X[,Y]", kind, azimuth, action="append", default=[])
+    more: dict[str, Any] = {"action": "append", "default": []}
+    add_option(new, "--azimuth", "NAME=X[,Y]", azimuth_place, azimuth, **more)
     antenna = (
         "place of the antenna whose positions and velocities are recorded, X m ahead of amidships "
         "and Y m to starboard (default: amidships)"

@@ -13,6 +13,7 @@ from diffsea.errors import UserError
 
 HULLS = ("catamaran", "monohull", "barge", "ship")  # as the library has them
 UNITS = ("us", "percent", "normalised", "rpm", "rev/s", "N")
+BY_SHAFT = ("rpm", "rev/s")  # orders in which need the largest shaft speed
 
 
 def ask_what_is_missing(
@@ -36,7 +37,7 @@ def ask_what_is_missing(
         args.mass = _ask("mass as she sails, kg", None, options.positive)
     if args.top_speed is None:
         args.top_speed = _ask("top speed, m/s", "not known", _or_unknown)
-    if args.thrusters is None and args.rudder is None:
+    if args.thrusters is None and args.rudder is None and not args.azimuth:
         usual = "rudder" if args.hull in ("monohull", "ship") else "thrusters"
         drives = options.OneOf(("thrusters", "rudder"), "drive")
         if _ask("steered by (thrusters, rudder)", usual, drives) == "rudder":
@@ -49,6 +50,8 @@ def ask_what_is_missing(
     if args.unit is None and args.log is None and args.hull != "ship":
         unit = options.OneOf(UNITS, "unit")
         args.unit = _ask(f"motors are ordered in ({', '.join(UNITS)})", "us", unit)
+    if args.unit in BY_SHAFT and args.shaft_speed is None:
+        args.shaft_speed = _ask("largest shaft speed, rev/s", None, options.positive)
 
 
 def _ask_for_the_file(
