@@ -256,6 +256,17 @@ def test_late_samples_are_continued_back_to_the_start():
     assert predicted.x[0] == pytest.approx(run.x[0], abs=1e-6)
 
 
+@pytest.mark.parametrize("lost", [slice(2, 40), slice(-40, -2)])
+def test_a_lone_sample_before_or_after_a_pause_is_continued_by_the_next_one(lost):
+    """The rows before the first sample and after the last are nearer to it than any other is."""
+    run = straight(np.arange(0.0, 30.0, 0.1), u0=3.0)
+    x = run.x.copy()
+    edge = slice(0, 1) if lost.start == 2 else slice(-1, None)
+    x[lost] = x[edge] = np.nan
+    true, _ = true_motion(Sensors(), dataclasses.replace(run, x=x), {})
+    np.testing.assert_allclose(true["x"][edge], run.x[edge], atol=0.1)
+
+
 def test_a_clock_that_runs_ahead_shows_the_run_before_its_recording_begins():
     vessel = dataclasses.replace(boat(), sensors=Sensors(clock=Clock(offset=-0.5)))
     t = np.arange(0.0, 60.0, 0.1)

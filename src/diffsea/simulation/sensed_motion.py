@@ -170,6 +170,8 @@ def _extrapolate(
         if beyond.any():
             span = max(least, float(np.abs(wanted[beyond] - times[edge]).max()))
             near = np.abs(times - times[edge]) <= span
+            # A line needs two samples, also where a pause follows the first or precedes the last.
+            near[slice(0, 2) if edge == 0 else slice(-2, None)] = True
             slope = np.polyfit(times[near] - times[edge], values[near], 1)[0]
             found[beyond] = values[edge] + slope * (wanted[beyond] - times[edge])
     return found
