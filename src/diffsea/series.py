@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Inexact
 from diffsea.trajectory import Samples
 
 
+BRIDGED_INTERVALS = 3.0  # of a channel's own: a straight line says little across more
 CALENDAR = 1e8  # s: a clock that has run for three years counts from a calendar's epoch
 
 

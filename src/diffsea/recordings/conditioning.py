@@ -92,20 +92,23 @@ def _moved(run: Trajectory, shift: float) -> Trajectory:
 def thin(trajectory: Trajectory, interval: float) -> Trajectory:
     """Some of the valid rows: `interval` s apart or more, and those at which actuation changes.
 
-    Rows stay as they were measured: nothing is smoothed, and no order is moved. Actuation changes
-    where it is off by two per cent of its range from the row that was kept last; its noise is not
-    told from orders, so that a run with measured actuation may keep all its rows.
+    Where sensors have rows of their own, so far apart are those that are kept of each. Rows stay as
+    they were measured: nothing is smoothed, and no order is moved. Actuation changes where it is
+    off by two per cent of its range from the row that was kept last; its noise is not told from
+    orders, so that a run with measured actuation may keep all its rows.
     """
     run = trajectory.counted()
     held = [series for name, series in native_channels(run).items() if is_held(name)]
     steps = [HELD_STEP * (np.nanmax(one) - np.nanmin(one)) for one in held]
-    kept = [0]
+    given = np.isfinite(np.stack([*run.motion.values()], axis=1))
+    kept, read = [0], np.where(given[0], run.t[0], -np.inf)  # when each channel was read last
     for row in range(1, len(run.t)):
         last = kept[-1]
-        is_late = run.t[row] - run.t[last] >= interval * (1 - 1e-6)
+        is_late = (given[row] & (run.t[row] - read >= interval * (1 - 1e-6))).any()
         changes = zip(held, steps, strict=True)
         if is_late or any(abs(one[row] - one[last]) > step for one, step in changes):
             kept.append(row)
+            read[given[row]] = run.t[row]
     if len(kept) in (1, len(run.t)):
         return run
     note = f"rows less than {interval:.3g} s apart left out where no order changes"

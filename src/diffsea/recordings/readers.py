@@ -43,7 +43,15 @@ from diffsea.recordings.tables import (
     numeric_column,
     read_table,
 )
-from diffsea.series import CALENDAR, hold_at, hold_last, unwrap
+from diffsea.series import (
+    BRIDGED_INTERVALS,
+    CALENDAR,
+    between_samples,
+    hold_at,
+    hold_last,
+    median_interval,
+    unwrap,
+)
 from diffsea.trajectory import MOTION_CHANNELS, ReadReport, RowsLeftOut, Samples, Trajectory
 
 
@@ -402,6 +410,16 @@ def _held_actuation(
     return group
 
 
+def _between_its_samples(t: Samples, psi: Samples) -> Samples:
+    """A heading, along straight lines in the rows of other sensors; NaN across long pauses."""
+    known = np.isfinite(psi)
+    if known.all() or known.sum() < 2:
+        return psi
+    longest = BRIDGED_INTERVALS * median_interval(t[known]) * (1 + 1e-9)
+    line = np.interp(t, t[known], psi[known])
+    return np.where(known | between_samples(t[known], t, longest), line, np.nan)
+
+
 def _with_mapped_repairs(run: Trajectory, mapping: Mapping) -> Trajectory:
     """The run with late channels shifted and earth velocities turned into body axes.
 
@@ -420,7 +438,8 @@ def _with_mapped_repairs(run: Trajectory, mapping: Mapping) -> Trajectory:
         elif name in channels:
             channels[name] = np.interp(later, t, channels[name], left=np.nan, right=np.nan)
     if mapping.velocity_axes == "earth":
-        body = (channels["u"] + 1j * channels["v"]) * np.exp(-1j * channels["psi"])
+        heading = _between_its_samples(t, channels["psi"])
+        body = (channels["u"] + 1j * channels["v"]) * np.exp(-1j * heading)
         channels |= {"u": body.real, "v": body.imag}
         notes.append("u and v turned from earth into body axes by the heading")
     return with_channels(run, channels, provenance=(*run.provenance, *notes))

@@ -24,7 +24,7 @@ from diffsea.recordings.logs import (
 )
 from diffsea.recordings.logs.streams import LogFormat, Stream, list_fields, merge_repeated_times
 from diffsea.recordings.mappings import Column, Mapping, is_held
-from diffsea.series import between_samples, hold_at, median_interval, unwrap
+from diffsea.series import BRIDGED_INTERVALS, between_samples, hold_at, median_interval, unwrap
 from diffsea.trajectory import MOTION_CHANNELS, RowsLeftOut, Samples
 
 
@@ -105,7 +105,6 @@ _EXAMPLES = {
 _EXAMPLE_UNITS = {"psi": "rad", "latitude": "deg", "r": "rad/s", "x": "m"}
 _ENDINGS = {"_deg": "deg", "_rad": "rad", "_deg_s": "deg/s", "_rad_s": "rad/s", "_m": "m"}
 _ANGLES = ("psi", "phi", "wind_direction")
-_BRIDGED_INTERVALS = 3.0  # of a channel's own: a straight line says little across more
 
 Rows = Float[np.ndarray, "row"]  # the recording's, in s, or values in them
 
@@ -410,7 +409,7 @@ def join_channels(
             continue
         lines[name], there = np.full(rows.shape, np.nan), np.zeros(rows.shape, dtype=bool)
         if t.size > 1:
-            longest = _BRIDGED_INTERVALS * median_interval(t) * (1 + 1e-9)
+            longest = BRIDGED_INTERVALS * median_interval(t) * (1 + 1e-9)
             there = between_samples(t, rows, longest)
             continuous = unwrap(known) if name in _ANGLES else known
             lines[name] = np.where(there, np.interp(rows, t, continuous), np.nan)
