@@ -16,7 +16,7 @@ from diffsea.vessel.files import read_vessel
 
 NO_SPAN = argparse.Namespace(start=None, end=None)
 NUMBERS = {"--length M": "--length 6", "--beam M": "--beam 2", "--mass KG": "--mass 900"}
-NUMBERS |= {"--thrusters M": "--thrusters 1", "UNIT": "percent"}
+NUMBERS |= {"--thrusters M": "--thrusters 1", "UNIT": "percent", "=X": "=-1.5"}
 
 
 def log(orders, unit="us", source="column 8", form="csv") -> Any:
@@ -39,6 +39,8 @@ def log(orders, unit="us", source="column 8", form="csv") -> Any:
         (("rudder", "motor"), "us", "C1"),
         (("rudder", "propeller"), "own", "rpm"),
         (("rudder",), "own", "helm"),
+        (("fore.force", "fore.angle", "aft.force", "aft.angle"), "own", "rpm"),
+        (("pod.force", "pod.angle"), "own", "power"),
     ],
 )
 def test_the_vessel_that_is_proposed_takes_the_orders_of_the_log(orders, unit, source, tmp_path):
@@ -55,6 +57,7 @@ def test_the_vessel_that_is_proposed_takes_the_orders_of_the_log(orders, unit, s
     assert set(orders) <= set(units)
     wanted = {"us": "us", "normalised": "normalised", "own": "percent"}[unit]
     wanted = "N" if source == "left_force" else wanted
+    wanted = "rpm" if "fore.force" in orders else wanted
     assert {units[name] for name in orders} - {"rad", "rev/s"} <= {wanted}
 
 

@@ -128,7 +128,7 @@ def _new_boat(logs: "Sequence[Checked]") -> str:
     log = f" --log {shlex.quote(str(path))}" if one.log.startswith("ardupilot") else ""
     fastest = max((_largest_order(each, "propeller") for _, each in logs), default=0.0)
     shaft = f" --shaft-speed {_rounded_up(fastest):g}" if fastest and drive == _PROPELLED else ""
-    shaft = shaft or _azimuth_shaft(logs)
+    shaft = shaft or (_azimuth_unit(logs) if _azimuths(one) else "")
     return f"--length M --beam M --mass KG {drive}{shaft}{log}" if drive else ""
 
 
@@ -153,13 +153,13 @@ def _azimuths(one: "LogCheck") -> list[str]:
     return names if orders == known else []
 
 
-def _azimuth_shaft(logs: "Sequence[Checked]") -> str:
-    """Unit and largest shaft speed of azimuth thrusters whose column says that it is in rpm."""
+def _azimuth_unit(logs: "Sequence[Checked]") -> str:
+    """The unit of azimuth thrusters' orders; with their largest where a column says rpm."""
     _, one = logs[0]
     columns = [one.channels.get(f"{p}{n}.force") for n in _azimuths(one) for p in ("cmd_", "exec_")]
     told = [column for column in columns if column is not None]
     if not told or not all("rpm" in column.source.lower() for column in told):
-        return ""
+        return _unit_option(one)
     names = [f"{name}.force" for name in _azimuths(one)]
     fastest = max(_largest_order(each, name) for _, each in logs for name in names)
     return f" --unit rpm --shaft-speed {_rounded_up(fastest / 60):g}" if fastest else ""
