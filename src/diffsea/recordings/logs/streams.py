@@ -99,6 +99,8 @@ class LogFormat:
         told: what it is, before "needs a mapping" in a message.
         parameters: of a path, gives an autopilot's parameters as they were told, in order; None of
             a format without.
+        table: of a path, gives the fields that share one clock, by what a mapping calls them; None
+            of a format whose topics have clocks of their own.
     """
 
     name: str
