@@ -11,7 +11,7 @@ from tests.fuzz.server import COMMANDS, DOCUMENTS
 
 
 CORPUS = pathlib.Path(__file__).parents[1] / "corpus"
-INPUTS = 50  # of each reader, in a minute; `make fuzz` tries as many as wished
+INPUTS = 20  # of each reader, in half a minute; `make fuzz` tries as many as wished
 WHY = dict(line.split("\t") for line in (CORPUS / "why.tsv").read_text().splitlines())
 READ = [  # corpus files, by each command that reads such ones
     (name, command)

@@ -105,7 +105,9 @@ def test_sides_heading_and_motion_of_every_known_log_are_the_truth(log, boat, ki
         assert np.mean(same[5:]) > 0.99  # but for a sample at a change
 
 
-@pytest.mark.parametrize("options", [{"version": 1}, {"comma": True}])
+@pytest.mark.parametrize(
+    "options", [{"version": 1}, pytest.param({"comma": True}, marks=pytest.mark.proof)]
+)
 def test_telemetry_as_csv_is_read_however_it_was_written(log, options):
     """By old versions, whose times are to the second, and where numbers have a comma."""
     binary = read_recording(log("tlog"))

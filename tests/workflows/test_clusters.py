@@ -81,6 +81,7 @@ def results(folder):
     return {one.name: one.read_bytes() for one in folder.iterdir()}
 
 
+@pytest.mark.proof
 def test_a_sweep_on_a_cluster_has_the_bytes_of_one_without(
     harbour, workers, whole, attempts, tmp_path, monkeypatch
 ):

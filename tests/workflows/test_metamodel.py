@@ -131,6 +131,7 @@ def written(logs, tmp_path_factory):
     return json.loads((folder / "metamodel.json").read_text()), page
 
 
+@pytest.mark.proof
 def test_a_log_with_a_dead_gyro_is_left_out_and_said_so(written):
     found, page = written
     by_log = {row["log"]: row for row in found["logs"]}
@@ -227,6 +228,7 @@ def test_a_trial_is_predicted_by_the_metamodel_of_the_others_alone(zigzags):
     assert abs(by_all - by_others) > 1e-2
 
 
+@pytest.mark.proof
 def test_a_vessel_is_judged_by_the_metamodel_under_the_same_rudder(logs, tmp_path):
     """The ship herself follows it best; one whose rudder does two thirds is told."""
     ship = Norrbin(**TRUE).vessel(100.0, SPEED)

@@ -64,6 +64,10 @@ def register(commands: options.Commands) -> None:
     sequence = "the recordings, then those of --test, were made in this order: what changed in one "
     sequence += "stays so in those after it, and the vessel is written as it was in the end"
     add_flag(diagnose, "--one-after-another", sequence)
+    known = "recordings of the vessel as she was before: what they tell of her is known, and what "
+    known += "is searched has changed since"
+    paths = pathlib.Path
+    add_option(diagnose, "--reference", "RECORDING", paths, known, nargs="+", default=[])
     manoeuvre = "write the manoeuvre that separates rivals as a command sequence (t, cmd_...)"
     add_option(diagnose, "--next-manoeuvre", "CSV", pathlib.Path, manoeuvre)
 
@@ -292,7 +296,9 @@ def diagnose_command(args: argparse.Namespace) -> None:
             kept.tell = tell
             tell("reading")
             file = options.read_vessel(args)
-            runs, test = options.read_fitted_and_held_out(args)
+            runs, test, reference = options.read_groups(
+                args, args.recordings, args.test, args.reference
+            )
             per_run = args.environment == "per-recording"
             found = diagnose(
                 file,
@@ -308,6 +314,7 @@ def diagnose_command(args: argparse.Namespace) -> None:
                 quick=args.quick,
                 budget=args.budget - (time.monotonic() - began),
                 one_after_another=args.one_after_another,
+                reference=reference,
             )
             if next_csv is not None:
                 experiment, train = found.experiment, found.diagnosis.split.train

@@ -9,6 +9,7 @@ import difflib
 import functools
 import importlib
 import inspect
+import itertools
 import math
 import pathlib
 import shlex
@@ -339,9 +340,16 @@ def read_fitted_and_held_out(
     args: argparse.Namespace,
 ) -> "tuple[list[Trajectory], list[Trajectory]]":
     """The recordings to fit, and those held out; see `used_parts`."""
-    runs = read_recordings([*args.recordings, *args.test], args)
-    count = len(args.recordings)
-    return used_parts(runs[:count], args), used_parts(runs[count:], args)
+    runs, test = read_groups(args, args.recordings, args.test)
+    return runs, test
+
+
+def read_groups(
+    args: argparse.Namespace, *groups: "Sequence[pathlib.Path]"
+) -> "list[list[Trajectory]]":
+    """The recordings of several groups, weighed together as one set; see `used_parts`."""
+    rest = iter(read_recordings([path for group in groups for path in group], args))
+    return [used_parts(list(itertools.islice(rest, len(group))), args) for group in groups]
 
 
 def used_parts(runs: "Sequence[Trajectory]", args: argparse.Namespace) -> "list[Trajectory]":

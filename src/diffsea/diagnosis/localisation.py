@@ -189,9 +189,8 @@ def locate_forces(
     members = np.concatenate([windows.members, by_regime.members], axis=1)
     bins = [*windows.bins, *((WINDOWS + k, one) for k, one in by_regime.bins)]
     J = model.by_pulses(unit_pulses(members).reshape(-1, len(members), 3))
-    run = np.concatenate(
-        [np.repeat(np.asarray(problem.dataset.run), 6), np.full(problem.layout.size, -1)]
-    )
+    run = np.repeat(np.asarray(problem.dataset.run), 6)
+    run = np.concatenate([run, np.full(len(J) - len(run), -1)])
     places: list[tuple[int, Bin]] = []
     columns: list[np.ndarray] = []
     for k, one in bins:

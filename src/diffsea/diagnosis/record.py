@@ -239,6 +239,10 @@ def _effect(diagnosis: Diagnosis, accepted: AcceptedEffect) -> list[Record]:
                 entry["std"] *= 1.0 if constancy is None else constancy.scatter
                 off = float(norm.ppf(0.95)) * entry["std"]
                 entry["interval"] = [entry["value"] - off, entry["value"] + off]
+        if key := _changed_before(problem, accepted.name, parameters):
+            first = problem.dataset.spans[0][0]
+            unknown = {"std": None, "interval": None}
+            parameters[key] |= {"value": first, "before_recordings": True} | unknown
         for key, (began, first, last) in _began_in(diagnosis, accepted.name, parameters).items():
             parameters[key] |= began
             low, high = parameters[key]["interval"]
@@ -260,6 +264,15 @@ def _effect(diagnosis: Diagnosis, accepted: AcceptedEffect) -> list[Record]:
     return records
 
 
+def _changed_before(problem: Problem, name: str, parameters: Mapping[str, Record]) -> str:
+    """The key of an onset that lies before all recordings, after a reference; else empty."""
+    scanned = EFFECTS[name].scanned
+    if problem.before is None or scanned is None or not isinstance(scanned[1], Onset):
+        return ""
+    time = parameters[scanned[1].key]["value"]
+    return scanned[1].key if time is not None and time <= problem.dataset.spans[0][0] else ""
+
+
 def _began_in(
     diagnosis: Diagnosis, name: str, parameters: Mapping[str, Record]
 ) -> dict[str, tuple[Record, float, float]]:
@@ -274,6 +287,8 @@ def _began_in(
         return {}
     key = scanned[1].key
     time = parameters[key]["value"]
+    if "before_recordings" in parameters[key]:
+        return {}
     runs = [*diagnosis.split.recordings, *diagnosis.split.held_out]
     if time is None or len(runs) == 1:
         return {}

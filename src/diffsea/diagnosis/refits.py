@@ -341,6 +341,8 @@ def is_physical(problem: Problem, fitted: Estimate, candidate: Candidate) -> boo
     value = float(values[0, place])
     size = effect.sizes(problem.base)[place]
     times = np.asarray(problem.dataset.run_time)[problem.dataset.recorded_rows]
+    if problem.before is not None:  # as much was recorded then, as far as that counts
+        times = np.concatenate([np.full(len(times), -np.inf), times])
     is_near = abs(value - candidate.point.at[place]) < candidate.reach
     return is_near and scanned.lies_within(value * size, times)
 

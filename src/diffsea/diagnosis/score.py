@@ -42,7 +42,8 @@ COUNTABLE = 0.02  # share of the draws from which on they are counted: forty of 
 NO_INFORMATION = 1e-12  # of a column, in squared standard deviations of the innovations
 LEVEL = 0.01  # of significance, shared by the tests
 
-Columns = Float[np.ndarray, "value column"]  # six to each row of the data set, then the prior's
+# Six values to each row of the data set, then the prior's, then those of further data.
+Columns = Float[np.ndarray, "value column"]
 PerColumn = Float[np.ndarray, "column"]
 
 
@@ -116,7 +117,8 @@ class ScoreTest(NamedTuple):
 class Projection:
     """The projection off the nuisances, and score tests of what it leaves of candidates.
 
-    `residual` and columns have six values for each row of the data set, then the prior's rows.
+    `residual` and columns have six values for each row of the data set, then rows of the prior and
+    of further data.
     """
 
     def __init__(
@@ -223,9 +225,7 @@ class LinearisedModel:
     ) -> tuple[Float[np.ndarray, "value"], Columns]:
         """Residual and columns of some coordinates by their positions, there or `at` others."""
         coordinates = self.coordinates if at is None else at
-        residual, J = linearise(self.problem, self.gains, coordinates, index)
-        keep = int(self.problem.dataset.measured.size) + self.problem.layout.size
-        return residual[:keep], J[:keep]
+        return linearise(self.problem, self.gains, coordinates, index)
 
     def projection(
         self, names: tuple[str, ...], correlation: Float[np.ndarray, "lag 6"] | None = None
@@ -238,10 +238,14 @@ class LinearisedModel:
         return Projection(residual, nuisance, np.asarray(self.problem.dataset.run), correlation)
 
     def by_pulses(self, pulses: Float[np.ndarray, "pulse row 3"]) -> Columns:
-        """Columns of histories of accelerations (m/s^2, m/s^2, rad/s^2), which have no prior."""
-        problem = self.problem
-        J = slopes_by_pulses(problem, self.gains, self.coordinates, pulses)
-        return np.concatenate([J, np.zeros((problem.layout.size, J.shape[1]))])
+        """Columns of histories of accelerations (m/s^2, m/s^2, rad/s^2), untold by else."""
+        J = slopes_by_pulses(self.problem, self.gains, self.coordinates, pulses)
+        return np.concatenate([J, np.zeros((self._rows_beside, J.shape[1]))])
+
+    @property
+    def _rows_beside(self) -> int:
+        """Rows of the prior and of further data."""
+        return self.problem.layout.size + len(self.problem.further_misfits(self.coordinates))
 
     def by_points(self, points: list[ExpansionPoint]) -> list[Columns]:
         """Columns at each expansion point, several points to one run of the compiled program.
@@ -266,12 +270,14 @@ class LinearisedModel:
     def _secant(self, point: ExpansionPoint, base: np.ndarray) -> Columns:
         """Change of the innovations from `base` by prior size of the first amount that is not zero.
 
-        The prior's is by its tangent.
+        The prior's and that of further data are by their tangents.
         """
         change = innovations_at(self.problem, self.gains, self._coordinates_at([point])) - base
         prior, index = np.zeros(self.problem.layout.size), self._differentiated_index(point)
         prior[index] = 1 / self.problem.layout.spreads()[index]
-        return np.concatenate([change / point.at[point.directions[0]], prior])[:, None]
+        further = self.problem.linear_rows(self.coordinates, np.array(index)).slopes.sum(1)
+        by_size = change / point.at[point.directions[0]]
+        return np.concatenate([by_size, prior, further])[:, None]
 
     def _coordinates_at(self, points: list[ExpansionPoint]) -> Float[np.ndarray, "coordinate"]:
         """Coordinates with some effects at expansion points, each at the same one in every run."""

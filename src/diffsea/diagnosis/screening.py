@@ -122,7 +122,7 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
     model = linearise_model(problem, fitted)
     projection = model.projection(fitted.free)
     frequencies, resolution = wave_frequencies(problem, fitted)
-    peaks = Peaks(frequencies, jumps(problem, fitted))
+    peaks = Peaks(frequencies, jumps(problem, fitted), problem.before)
     effects = [effect for effect in problem.layout.effects if effect.name not in fitted.free]
     best: dict[str, Candidate] = {}
     promise: dict[str, float] = {}  # by all readings, which tell best when something begins

@@ -31,10 +31,11 @@ from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.correlated_errors import independent_sampling
 from diffsea.identification.fit import Start, compile_programs, estimate, estimate_surely
-from diffsea.identification.holdout import Split, split_data
+from diffsea.identification.holdout import Split, split_data, thinned
 from diffsea.identification.multistart import multistart
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.problem import Problem, make_problem
+from diffsea.identification.reference import Reference, reference_of
 from diffsea.identification.sufficiency import Shortfall, shortfalls
 from diffsea.parameters import Parameter
 from diffsea.progress import Progress, no_progress
@@ -75,6 +76,7 @@ def diagnose(
     deadline: Deadline = NO_DEADLINE,
     priors: Mapping[str, Parameter] | None = None,
     effort: Effort = FULL_EFFORT,
+    reference: Sequence[Trajectory] = (),
 ) -> Diagnosis:
     """Find, name and model what the vessel's model lacks.
 
@@ -89,6 +91,8 @@ def diagnose(
         deadline: after which what was found until then is reported as it is.
         priors: of parameters that have one other than `default_priors`.
         effort: how far the search goes.
+        reference: recordings of the vessel as she was before what is searched: what they tell of
+            her parameters is known beforehand.
 
     Raises:
         UserError: recordings that do not fit the vessel, or are too short to hold anything out;
@@ -109,9 +113,13 @@ def diagnose(
     data = split_data(problem_of, recordings, test, per_run)
     progress("fitting the vessel file to the recordings")
     compile_programs(data.train, screened=True)
+    if reference:
+        progress("fitting it to those of reference first")
+        data = data.beside(
+            reference_fit(problem_of(list(reference), data.train.dataset.shape), free)
+        )
     rough = estimate(data.train, free, rounds=FIRST_ROUNDS)
-    run, length = rough.filter_run(data.train), float(vessel.rigid_body.length)
-    if seldom := independent_sampling(run, data.train.dataset, length):
+    if seldom := sparse_sampling(data.train, rough):
         often = ", ".join(f"{name} every {number}" for name, number in seldom.items())
         progress(f"neighbouring samples err alike; used are of {often}")
         data = data.thinned(seldom)
@@ -127,6 +135,19 @@ def diagnose(
     audited = audited_effects(vessel, data.train.layout, findings, runs)
     begun = believe_audit(data, nominal, screening, audited, progress, deadline)
     return explain(data, begun, null, progress, deadline, effort)
+
+
+def sparse_sampling(problem: Problem, rough: Estimate) -> Mapping[str, int]:
+    """One in how many samples of a channel err independently, where fewer than all do."""
+    length = float(problem.base.rigid_body.length)
+    return independent_sampling(rough.filter_run(problem), problem.dataset, length)
+
+
+def reference_fit(problem: Problem, free: tuple[str, ...]) -> Reference:
+    """What recordings of a reference period tell of the vessel's parameters."""
+    rough = estimate(problem, free, rounds=FIRST_ROUNDS)
+    problem = thinned(problem, sparse_sampling(problem, rough))
+    return reference_of(problem, estimate_surely(problem, free, Start.of_other_data(rough)))
 
 
 def nominal_elsewhere(problem: Problem, nominal: Estimate, progress: Progress) -> Estimate:

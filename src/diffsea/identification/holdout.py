@@ -19,7 +19,13 @@ from diffsea.identification.estimates import Estimate, ParameterRecord, paramete
 from diffsea.identification.filter.correlated_errors import thin_channels
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.fit import Start, estimate, noise_at
-from diffsea.identification.problem import Coordinates, Problem, make_problem, vessel_in_environment
+from diffsea.identification.problem import (
+    Coordinates,
+    FurtherData,
+    Problem,
+    make_problem,
+    vessel_in_environment,
+)
 from diffsea.recordings.conditioning import cut
 from diffsea.statistics import block_sums
 from diffsea.trajectory import Trajectory
@@ -143,6 +149,15 @@ class Split:
             head=None if self.head is None else thinned(self.head, every),
             one_sample_in=every,
         )
+
+    def beside(self, further: FurtherData) -> "Split":
+        """The split with the same further data beside each of its parts."""
+        train, test, head = (
+            None if one is None else dataclasses.replace(one, further=further)
+            for one in (self.train, self.test, self.head)
+        )
+        assert train is not None and test is not None
+        return dataclasses.replace(self, train=train, test=test, head=head)
 
 
 def split_data(

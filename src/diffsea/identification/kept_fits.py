@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -140,14 +141,16 @@ def kept_fit(
         settings: all that it depends on besides the problem: a tree of arrays, numbers and text.
     """
     kept = _current.get()
-    if kept is None or problem.further is not None:
+    if kept is None or not (problem.further is None or isinstance(problem.further, eqx.Module)):
         return fit(progress)
     return kept.get(problem, settings, fit, progress)
 
 
 def _key(problem: Problem, settings: Any) -> str:
     """A hash of a problem, of the settings of a fit, and of the versions by which it is made."""
-    leaves, structure = jax.tree.flatten((problem.base, problem.dataset, problem.prior, settings))
+    leaves, structure = jax.tree.flatten(
+        (problem.base, problem.dataset, problem.prior, problem.further, settings)
+    )
     layout = problem.layout
     effects = tuple(effect.name for effect in layout.effects)
     plain = layout.parameters, effects, layout.sizes, layout.runs, layout.per_run, layout.latest

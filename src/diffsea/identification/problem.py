@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import equinox as eqx
 import jax
@@ -11,13 +11,20 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from diffsea.identification.coordinates import CoordinateLayout, free_by_default, vessel_at
-from diffsea.identification.data.dataset import ANY_SHAPE, Dataset, DatasetShape, make_dataset
+from diffsea.identification.data.dataset import (
+    ANY_SHAPE,
+    LEAD_IN,
+    Dataset,
+    DatasetShape,
+    make_dataset,
+)
 from diffsea.identification.filter import kalman
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun
 from diffsea.identification.filter.latency import SamplePlacement
 from diffsea.identification.filter.noise_fit import NoisePrior, noise_prior
 from diffsea.parameters import Parameter, check_names
+from diffsea.scales import time_scale
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
@@ -41,7 +48,13 @@ class NumberResidual:
 
 
 class FurtherData(Protocol):
-    """Data beside the recordings that say something of the same coordinates: trial numbers."""
+    """Data beside the recordings that say something of the same coordinates.
+
+    Trial numbers, or what a reference period told. Where `is_before`, they are of the vessel before
+    the recordings: something may have changed since.
+    """
+
+    is_before: ClassVar[bool]
 
     def misfits_and_jacobian(
         self, coordinates: Coordinates
@@ -50,7 +63,7 @@ class FurtherData(Protocol):
         ...
 
     def residuals(self, coordinates: Coordinates) -> list[NumberResidual]:
-        """The same as they were given and as they are at some coordinates."""
+        """The same as they were given and as they are at some coordinates, if they are numbers."""
         ...
 
 
@@ -84,6 +97,17 @@ class Problem:
     def start(self) -> tuple[Coordinates, Noise]:
         """Prior mean of the coordinates and first guess of the noise."""
         return np.zeros(self.layout.size), Noise.of(self.prior.mean)
+
+    @property
+    def before(self) -> float | None:
+        """A time (s) before all recordings, at which something may have changed.
+
+        None without data of the vessel as she was.
+        """
+        if self.further is None or not self.further.is_before:
+            return None
+        lead_in = LEAD_IN * float(time_scale(self.base.rigid_body.length))
+        return self.dataset.spans[0][0] - 2 * lead_in
 
     def run_filter(
         self,

@@ -278,7 +278,8 @@ class FitVerdict:
 def missing_channel(effect: Effect, vessel: Vessel, recordings: Sequence[Trajectory]) -> str:
     """A channel that an effect must have measured and some recording lacks; empty where none."""
     for run in recordings:
-        if effect.needs and not np.isfinite(run.extra.get(effect.needs, np.nan)).any():
+        measured = {**run.extra, **run.motion}
+        if effect.needs and not np.isfinite(measured.get(effect.needs, np.nan)).any():
             return effect.needs
         for channel in effect.place.all_on(vessel) if effect.needs_feedback else ():
             if channel not in run.executed:

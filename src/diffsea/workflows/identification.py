@@ -3,6 +3,7 @@
 import dataclasses
 import html
 import importlib.metadata
+import itertools
 import math
 import pathlib
 import sys
@@ -104,14 +105,16 @@ def fitted_data(
 
 
 def _with_same_feedback(
-    vessel: Vessel, runs: list[Trajectory], held_out: list[Trajectory], progress: Progress
-) -> tuple[list[Trajectory], list[Trajectory]]:
-    """Both with the measured actuation that all have, which says what is left out."""
-    stale = {channel for run in (*runs, *held_out) for channel in stale_feedback(run)}
-    common, notes = with_common_feedback(vessel, [*runs, *held_out], stale)
+    vessel: Vessel, progress: Progress, *several: list[Trajectory]
+) -> list[list[Trajectory]]:
+    """All lists with the measured actuation that all runs have, which says what is left out."""
+    whole = [run for some in several for run in some]
+    stale = {channel for run in whole for channel in stale_feedback(run)}
+    common, notes = with_common_feedback(vessel, whole, stale)
     for note in notes:
         progress(note)
-    return common[: len(runs)], common[len(runs) :]
+    rest = iter(common)
+    return [list(itertools.islice(rest, len(some))) for some in several]
 
 
 def check_held_out(test: Sequence[Recording], recorded: bool) -> None:
@@ -258,7 +261,7 @@ def fit(
         sheets = f"{counted(len(given.trials), 'trial')} of sheets" if given.trials else ""
         runs = counted(len(given.recordings), "recording") if given.recordings else ""
         told = " and ".join(filter(None, (runs, sheets)))
-        same = _with_same_feedback(file.vessel, given.recordings, given.test, progress)
+        same = _with_same_feedback(file.vessel, progress, given.recordings, given.test)
         given = given._replace(recordings=same[0], test=same[1])
         whole = [*given.recordings, *given.test]
         measured = [c for c, how in how_actuated(file.vessel, whole).items() if how == "measured"]
@@ -332,16 +335,19 @@ class DiagnosisResult(Tabulated):
 
 
 def provenance(
-    file: VesselFile, runs: Sequence[Trajectory], test: Sequence[Trajectory]
+    file: VesselFile,
+    runs: Sequence[Trajectory],
+    test: Sequence[Trajectory],
+    reference: Sequence[Trajectory] = (),
 ) -> dict[str, Any]:
     """What was run on what: vessel, recordings, where actuation came from, versions."""
     versions = {n: importlib.metadata.version(n) for n in ("diffsea", "jax", "optimistix")}
     return {
         "vessel": file.path,
-        "recordings": {run.name: list(run.provenance) for run in [*runs, *test]},
+        "recordings": {run.name: list(run.provenance) for run in [*runs, *test, *reference]},
         "actuation": {
             use: how_actuated(file.vessel, list(some))
-            for use, some in (("fitted", runs), ("held out", test))
+            for use, some in (("fitted", runs), ("held out", test), ("reference", reference))
             if some
         },
         "versions": versions,
@@ -365,6 +371,7 @@ def diagnose(
     budget: float = math.inf,
     keep_idle: bool = False,
     one_after_another: bool = False,
+    reference: Recording | Iterable[Recording] = (),
 ) -> DiagnosisResult:
     """Find the physics that a vessel's model leaves out, as `diffsea diagnose` does.
 
@@ -387,6 +394,8 @@ def diagnose(
             they share one clock then, and a change in one of them stays in those after it. The
             vessel is returned as it was in the end. Recordings that all say when they were made
             share that clock without it.
+        reference: recordings of the vessel as she was before whatever is searched: what they tell
+            of her parameters is known beforehand, and something may have changed since.
 
     Raises:
         UserError: recordings that cannot be read or do not suit the vessel.
@@ -394,10 +403,11 @@ def diagnose(
     with time_budget(budget) as left:
         deadline = Deadline(seconds)
         file = as_vessel_file(vessel)
-        runs, held_out = (
-            as_used_recordings(some, mapping, keep_idle, progress) for some in (recordings, test)
+        runs, held_out, earlier = (
+            as_used_recordings(some, mapping, keep_idle, progress)
+            for some in (recordings, test, reference)
         )
-        require_order_units(file.vessel, [*runs, *held_out])
+        require_order_units(file.vessel, [*runs, *held_out, *earlier])
         whole = [*runs, *held_out]
         in_order = one_after_another or share_a_calendar(whole)
         if in_order:
@@ -410,11 +420,15 @@ def diagnose(
         audited = list(audit([*runs, *held_out]))
         audited += [one for run in (*runs, *held_out) for one in unit_findings(file.vessel, run)]
         findings = [finding.as_dict() for finding in audited]
-        runs, held_out = _with_same_feedback(file.vessel, runs, held_out, progress)
+        runs, held_out, earlier = _with_same_feedback(
+            file.vessel, progress, runs, held_out, earlier
+        )
         not_done: tuple[str, ...] = ()
         if quick:
             whole = [*runs, *held_out]
-            runs, held_out = look.thinned(file.vessel, runs), look.thinned(file.vessel, held_out)
+            runs, held_out, earlier = (
+                look.thinned(file.vessel, some) for some in (runs, held_out, earlier)
+            )
             not_done = look.of_diagnosis(look.left_out(file.vessel, whole, [*runs, *held_out]))
         names = None if free is None else tuple(free)
         parameters = with_priors(file.vessel, names, file.priors | dict(priors or {}), anchor)
@@ -431,6 +445,7 @@ def diagnose(
             deadline,
             {one.name: one for one in parameters},
             effort=Effort(look.NAMES, insists=False) if quick else FULL_EFFORT,
+            reference=earlier,
         )
         experiment = None
         if not quick and not left.skips("the manoeuvre to record next"):
@@ -439,7 +454,7 @@ def diagnose(
         progress("comparing predictions")
         documents = (
             nominal_document(file.document, found),
-            vessel_document(file.document, found, in_the_end=in_order),
+            vessel_document(file.document, found, in_the_end=in_order or bool(earlier)),
         )
         nominal, diagnosed = (VesselFile(build(one), one, file.path) for one in documents)
         predicted = []
@@ -448,7 +463,7 @@ def diagnose(
             after = held_out_models(found.split, found.final) if found.names else None
             predicted = compare(found.split.held_out, before, after)
         proposal = None if experiment is None else experiment.as_dict()
-        source = provenance(file, runs, held_out)
+        source = provenance(file, runs, held_out, earlier)
         record = summary(found, findings, horizon_table(predicted), proposal, source)
         complete = record["complete"] and not left.left_out
         record |= {"complete": complete, "left_out": list(left.left_out)}

@@ -20,6 +20,7 @@ and Jacobian, linear in each round and evaluated exactly at each step.
 
 import dataclasses
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -43,6 +44,8 @@ def with_trial_numbers(problem: Problem, trials: Sequence[MeasuredTrial]) -> Pro
 
 class NumbersBeside:
     """The numbers of trials by the coordinates of the recordings' problem: `FurtherData`."""
+
+    is_before: ClassVar[bool] = False
 
     def __init__(self, problem: Problem, trials: Sequence[MeasuredTrial]):
         layout = problem.layout

@@ -30,6 +30,7 @@ SYMBOLS = {
        for force, what in (("Y", "side force"), ("N", "moment")) for way in ("ahead", "astern")},
 }  # fmt: skip
 PERCENT_SCALES = {"%": 100.0, "%/deg": math.radians(100.0)}
+EARLIER = "before these recordings"  # when something changed, since those of reference
 _LATE = "sensor-latency"  # the name of the catalogue
 
 
@@ -66,8 +67,11 @@ class PhrasedParameter:
             entry: `value`, `std` and `unit` of the parameter, in SI units.
         """
         self.value, self.std, self.unit = entry["value"], entry.get("std"), entry.get("unit", "")
+        self.is_earlier = "before_recordings" in entry
 
     def __format__(self, form: str) -> str:
+        if self.is_earlier:
+            return EARLIER
         if not form:
             return round_to_error(self.value, self.std, self.unit)
         if "|" in form:
@@ -193,6 +197,8 @@ def parameter_lines(effect: Record) -> list[str]:
         text = with_error(entry["value"], entry.get("std"), entry.get("unit", ""))
         if "beyond" in entry:
             text = f"above {round_to_error(entry['beyond'], None, entry['unit'])}, if any"
+        if "before_recordings" in entry:
+            text = EARLIER
         text += f" ({within})" if (within := within_recording(entry)) else ""
         lines.append(f"{parameter_words(name)} {text}{direction_note(effect, name)}")
     return lines

@@ -34,6 +34,7 @@ class Peaks(NamedTuple):
 
     frequencies: Float[np.ndarray, "peak"] = np.zeros(0)  # Hz
     jumps: dict[str, Float[np.ndarray, "peak"]] = {}  # s on the runs' clocks, by motion channel
+    before: float | None = None  # s: all was recorded after it, and something may have changed
 
 
 NO_PEAKS = Peaks()
@@ -123,9 +124,12 @@ class Onset(Coordinate):
         return max(PRIOR_SPREAD, latest / size)
 
     def scan(self, vessel: Vessel, spans: Sequence[TimeSpan], peaks: Peaks) -> list[float]:
-        """Times (s) at which equal shares of all that was recorded in some spans have passed."""
+        """Times (s) at which equal shares of all that was recorded in some spans have passed.
+
+        And one before all of it, if something may have changed since.
+        """
         recorded = sum(end - start for start, end in spans)
-        times = []
+        times = [] if peaks.before is None else [peaks.before]
         for k in range(1, ONSET_SHARES):
             after, time = recorded * k / ONSET_SHARES, spans[-1][1]
             for start, end in spans:

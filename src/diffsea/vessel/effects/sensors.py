@@ -61,6 +61,7 @@ def _latency(
     *groups: str,
     phrase: str = "a measured {channels} that arrives {delay:size} late",
     mirror: str = "",
+    needs: str = "",
 ) -> Effect:
     """Channels that are late by one delay; the variant `mirror` has all the others."""
 
@@ -71,6 +72,7 @@ def _latency(
         confusables=_LIKE_LATENCY,
         place=MeasuredChannels(tuple(name for group in groups for name in LATENCY_CHANNELS[group])),
         mirror=mirror and f"sensor-latency:{mirror}",
+        needs=needs,
         read=_read_latency,
     )
     def latency(vessel: Vessel, delay: CoordinateValues) -> Vessel:
@@ -185,6 +187,14 @@ SENSORS = (
     gyro_step,
     _latency("position", "position", mirror="but_position"),
     *(_latency(group, group) for group in ("heading", "velocity", "yaw_rate")),
+    # Velocities over ground are a receiver's as positions are: each alone, late, contradicts the
+    # other.
+    _latency(
+        "receiver",
+        *("position", "velocity"),
+        phrase="a measured position and velocity that arrive {delay:size} late",
+        needs="u",
+    ),
     # Positions that are ahead of everything else, as of a receiver that extrapolates: what is late
     # is all the others.
     _latency(

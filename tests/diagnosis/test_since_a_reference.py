@@ -1,0 +1,39 @@
+"""What changed since recordings of reference is told from what the vessel file had wrong."""
+
+import dataclasses
+
+import pytest
+from tests.diagnosis.small import DOCUMENT
+from tests.runs import random_steps
+
+import diffsea
+from diffsea import VesselFile
+from diffsea.vessel.files import build
+
+
+pytestmark = pytest.mark.proof
+
+
+def test_a_load_that_looks_like_added_mass_is_found_beside_recordings_without_it():
+    """Alone, the later recordings agree with the vessel file: its derivatives hold the load."""
+    load = 0.2 * DOCUMENT["hull"]["mass"]
+    laden = {"mass-change": {"time": -100.0, "mass": load}}
+    hidden = {1: {}, 2: {}, 3: laden, 4: laden, 5: laden}
+    runs = {
+        k: dataclasses.replace(random_steps(DOCUMENT, k, 60.0, 0.2, one), name=f"run {k}")
+        for k, one in hidden.items()
+    }
+    file = VesselFile(build(DOCUMENT), DOCUMENT, "usv.toml")
+    later = [runs[3], runs[4]], [runs[5]]
+    alone = diffsea.diagnose(file, *later, quick=True)
+    assert alone.record["verdict"] == "consistent"
+    since = diffsea.diagnose(file, *later, quick=True, reference=[runs[1], runs[2]])
+    (effect,) = since.record["effects"]
+    assert effect["name"] == "mass-change"
+    mass, time = effect["parameters"]["mass"], effect["parameters"]["time"]
+    assert abs(mass["value"] - load) < 2 * mass["std"] < 0.2 * load
+    assert time["before_recordings"] and time["value"] == 0.0 and time["std"] is None
+    assert any("larger from before these recordings on" in line for line in since.notes())
+    assert "before these recordings" in since.html()
+    (table,) = since.diagnosed.document["effect"]
+    assert table["mass"] == pytest.approx(mass["value"], rel=1e-3) and "time" not in table
