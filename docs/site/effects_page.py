@@ -199,6 +199,8 @@ KEYS = {
         "delay": "*needed*; how late they are",
         "channels": "of `x`, `y`, `psi`, `u`, `v`, `r`; `x` with `y`, and `u` with `v`; without it "
         "`x` and `y`",
+        "turned_by": '`["psi"]` of a late receiver, with `["x", "y", "u", "v"]`: velocities over '
+        "ground were turned into the vessel's axes by a heading that is not late",
     },
     "lever-arm": {
         "x": "forward of the reference point",
@@ -294,7 +296,11 @@ KEYS = {
     "drag-change": {"factor": "relative change: 0.2 is a fifth more", "time": _TIME},
     "roll-coupling": {"Y_phi": "force by heel", "N_phi": "moment by heel"},
 }
-KEY_UNITS = {"frontal_area": "m^2", "lateral_area": "m^2"}  # of keys that are no parameter
+KEY_UNITS = {
+    "frontal_area": "m^2",
+    "lateral_area": "m^2",
+    "turned_by": "names",
+}  # of keys that are no parameter
 
 # Which vessels are asked whether they have it, where not all are.
 _KIND = "those with such channels."
@@ -384,7 +390,7 @@ def section(name: str) -> str:
         lines.append(f"Special cases, each named instead where it does nearly as well: {alone}.")
     alike = dict.fromkeys(other for one in entries for other in one.confusables if other != name)
     lines.append("May be confused with: " + ", ".join(map(linked, alike)) + ".")
-    channels = {one.needs for one in entries if one.needs}
+    channels = {one.needs for one in entries} if all(one.needs for one in entries) else set()
     if channels:
         listed = ", ".join(f"`{channel}`" for channel in sorted(channels))
         lines.append(f"Recordings: {listed} in every run (a column of that name, in rad).")

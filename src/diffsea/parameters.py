@@ -271,7 +271,7 @@ _UNITS_OF_PARTS |= dict.fromkeys(
 _UNITS_OF_PARTS |= dict.fromkeys(("area", "frontal_area", "lateral_area"), "m^2")
 _UNITS_OF_PARTS |= dict.fromkeys(("time_constant", "delay", "payload_time"), "s")
 _UNITS_OF_PARTS |= {
-    f"latency_{channel}": "s" for channel in ("position", "heading", "velocity", "yaw_rate")
+    f"latency_{channel}": "s" for channel in ("position", "heading", "velocity", "yaw_rate", "axes")
 }
 _UNITS_OF_PARTS |= dict.fromkeys(
     ("angle", "heading_offset", "axes_offset", "hard_iron_cos", "hard_iron_sin", "heel"), "rad"

@@ -366,6 +366,19 @@ def test_added_masses_of_opposite_signs_are_no_vessels(sizes, possible):
     assert is_physical(problem, fitted, candidate(name, np.ones((3, 3)))) == possible
 
 
+@pytest.mark.parametrize(("lever", "possible"), [(0.2, True), (-0.24, True), (0.26, False)])
+def test_the_middle_of_the_added_mass_lies_in_the_hull(lever, possible):
+    """`lever` is in lengths off amidships: half a hull that had all of it would have L / 4."""
+    name, vessel = "added-mass-coupling:N_vdot", usv()
+    coupling = lever * vessel.rigid_body.length * float(vessel.added_mass.Y_vdot)
+    problem = still_problem(name)
+    index = np.array(problem.layout.indices((name,)))
+    coordinates = np.zeros(problem.layout.size)
+    coordinates[index] = coupling / EFFECTS[name].sizes(vessel)[0]
+    fitted = dataclasses.replace(linear_estimate((name,)), coordinates=coordinates, index=index)
+    assert is_physical(problem, fitted, candidate(name, np.ones((3, 1)))) == possible
+
+
 @pytest.mark.parametrize(
     ("time", "possible"), [(-2.0, False), (0.0, False), (6.0, True), (19.2, False), (19.5, False)]
 )

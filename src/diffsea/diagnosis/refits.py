@@ -8,7 +8,6 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
@@ -39,7 +38,7 @@ from diffsea.identification.free_predictions import (
     relative_losses,
 )
 from diffsea.identification.holdout import Split, exchanged_fit, held_out_gain
-from diffsea.identification.problem import Problem
+from diffsea.identification.problem import Problem, first_run_coordinates, vessel_in_environment
 from diffsea.progress import PartialProgress, Progress
 from diffsea.vessel.effects import EFFECTS, Effect, Size, catalogue_name, spoken_name
 
@@ -332,9 +331,12 @@ def is_physical(problem: Problem, fitted: Estimate, candidate: Candidate) -> boo
             return False
     least, most = np.array(effect.bounds(problem.base)).T / effect.sizes(problem.base)
     within = (values > least - TOLERANCE * stds) & (values < most + TOLERANCE * stds)
-    sized = jnp.asarray(values * effect.sizes(problem.base))
-    if not within.all() or not all(effect.plausible(effect.decode(problem.base, k)) for k in sized):
+    if not within.all():
         return False
+    if effect.plausible is not None:
+        own = first_run_coordinates(problem, fitted.coordinates)
+        if not effect.plausible(vessel_in_environment(problem, own)):
+            return False
     if effect.scanned is None:
         return True
     place, scanned = effect.scanned

@@ -97,6 +97,9 @@ def in_weather(vessel: Vessel, weather: Weather) -> Vessel:
     return vessel
 
 
+PSI = MOTION_CHANNELS.index("psi")
+
+
 class Instruments(eqx.Module):
     """What `Instrumented` remembers."""
 
@@ -117,9 +120,10 @@ class Instrumented(AbstractController[Instruments]):
     noise: Float[Array, "row 6"]  # of x, y, psi, u, v, r
     limits: dict[str, tuple[Scalar, Scalar]]  # by channel
     late: tuple[int, ...] = eqx.field(static=True)  # periods, of each channel
+    late_axes: int = eqx.field(static=True)  # periods, of `Sensors.latency_axes`
 
     def init(self) -> Instruments:
-        past = jnp.zeros((max(self.late) + 1, 6))
+        past = jnp.zeros((max(*self.late, self.late_axes) + 1, 6))
         return Instruments(jnp.zeros((), int), past, jnp.zeros(6), self.inner.init())
 
     def step(
@@ -131,7 +135,8 @@ class Instrumented(AbstractController[Instruments]):
         latest = enumerate(zip(MOTION_CHANNELS, self.late, strict=True))
         shown: dict[str, Scalar] = {channel: past[row, k] for k, (channel, row) in latest}
         noise = self.noise[jnp.minimum(memory.row, self.noise.shape[0] - 1)]
-        measured = self.sensors.shown(shown) + self.sensors.steps(t, dt) + noise
+        turned = past[0, PSI] - past[self.late_axes, PSI]
+        measured = self.sensors.shown(shown, turned) + self.sensors.steps(t, dt) + noise
         inner, orders = self.inner.step(memory.inner, State(*measured), t, dt)
         limited = {
             channel: jnp.clip(order, *self.limits[channel]) if channel in self.limits else order
@@ -182,4 +187,5 @@ def instrumented(
     lags = (float(own.lags()[channel]) + errors.delay for channel in MOTION_CHANNELS)
     late = tuple(max(round(lag / period), 0) for lag in lags)
     bounds = jax.tree.map(lambda end: jnp.asarray(end, float), dict(limits))
-    return Instrumented(controller, sensors, jnp.asarray(noise), bounds, late)
+    axes = max(round(float(own.latency_axes) / period), 0)
+    return Instrumented(controller, sensors, jnp.asarray(noise), bounds, late, axes)

@@ -123,6 +123,7 @@ class Sensors(eqx.Module):
     latency_heading: Scalar = 0.0
     latency_velocity: Scalar = 0.0
     latency_yaw_rate: Scalar = 0.0
+    latency_axes: Scalar = 0.0  # s: u and v are in the axes of a heading so much later than they
     clock: Clock | None = None  # None: that of the orders
     feedback: dict[str, Feedback] = eqx.field(default_factory=dict)  # by channel of an actuator
 
@@ -177,17 +178,21 @@ class Sensors(eqx.Module):
             c: getattr(state, c) - d * getattr(rate, c) + 0.5 * d**2 * getattr(jerk, c)
             for c, d in self.lags(t).items()
         }
-        return self.shown(past)
+        late = self.latency_axes
+        return self.shown(past, late * rate.psi - 0.5 * late**2 * jerk.psi)
 
-    def shown(self, past: dict[str, Scalar]) -> Float[Array, "6"]:
+    def shown(self, past: dict[str, Scalar], turned: Scalar = 0.0) -> Float[Array, "6"]:
         """Measured (x, y, psi, u, v, r) where each channel shows a value of its own past.
 
         Units are those of `State`; headings are not wrapped. The compass error is taken at the
         heading with its offset.
+
+        Arguments:
+            turned: rad, by which the heading has grown in `latency_axes`.
         """
         north, east = to_earth(self.lever_x, self.lever_y, past["psi"])
         psi = self.shown_heading(past["psi"])
-        u, v = self.shown_velocities(past["u"], past["v"], past["r"])
+        u, v = to_body(*self.shown_velocities(past["u"], past["v"], past["r"]), turned)
         x, y, r = past["x"] + north, past["y"] + east, past["r"] + self.gyro_bias
         return jnp.stack([x, y, psi, u, v, r])
 

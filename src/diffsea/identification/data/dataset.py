@@ -69,6 +69,7 @@ class Dataset(eqx.Module):
     measured: Float[Array, "row 6"]  # x, y, psi, u, v, r; zero where missing
     known: Bool[Array, "row 6"]
     heading: Float[Array, "row"]  # rad, as read last, whether or not it is known as a measurement
+    heading_between: Float[Array, "row"]  # rad, on straight lines between the readings
     run: Int[Array, "row"]
     part: Int[Array, "row"]  # of a run without long gaps; its lead-in has no samples of that time
     starts: Bool[Array, "row"]  # first recorded row of a part
@@ -246,6 +247,7 @@ def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows
         "measured": np.where(known[row] & recorded[:, None], motion[row], 0.0),
         "known": known[row] & recorded[:, None],
         "heading": held_headings(motion[:, _PSI], known[:, _PSI], starts)[row],
+        "heading_between": _between_readings(t[row] - ahead, all_times, run.psi),
         "run": np.full(len(row), number),
         "part": part[row],
         "starts": starts[row] & recorded,
@@ -272,6 +274,14 @@ def held_headings(
     following = np.minimum.accumulate(np.where(known, rows, rows.size - 1)[::-1])[::-1]
     first = np.maximum.accumulate(np.where(begins, rows, 0))
     return np.where(known, psi, 0.0)[np.where(last >= first, last, following)]
+
+
+def _between_readings(
+    t: Float[np.ndarray, "row"], read: Float[np.ndarray, "time"], psi: Float[np.ndarray, "time"]
+) -> Float[np.ndarray, "row"]:
+    """The heading (rad) at times t (s), on straight lines between readings; zero without any."""
+    known = np.isfinite(psi)
+    return np.interp(t, read[known], psi[known]) if known.any() else np.zeros(t.size)
 
 
 def _with_lead_ins(

@@ -29,11 +29,14 @@ def corrected(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Dataset]:
     What a sensor shows too much since an instant, or by what was before, is taken off, and rows
     are as of the clock of the orders.
     """
-    return align_to_order_clock(*_without_deviation(*_without_steps(vessel, dataset)))
+    put_right = _without_deviation(*_without_steps(vessel, dataset))
+    return align_to_order_clock(*_in_own_axes(*put_right))
 
 
 def as_shown(vessel: Vessel, dataset: Dataset) -> Dataset:
     """A data set as sensors would show it, of one that lacks what `corrected` takes off."""
+    turned = _velocities_turned(dataset.measured, _turned_since(vessel, dataset))
+    dataset = dataclasses.replace(dataset, measured=turned)
     begins, e = np.asarray(_begins(dataset)), jnp.zeros(dataset.t.size)
     known = np.asarray(dataset.known)[:, _PSI]
     shown = dataset
@@ -98,11 +101,36 @@ def _begins(dataset: Dataset) -> Bool[Array, "row"]:
     return dataset.starts | (dataset.part != jnp.roll(dataset.part, 1))
 
 
+def _in_own_axes(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Dataset]:
+    """A vessel whose velocities are in the axes of when they are of, and the data set so."""
+    since = _turned_since(vessel, dataset)
+    sensors = dataclasses.replace(vessel.sensors, latency_axes=0.0)
+    vessel = dataclasses.replace(vessel, sensors=sensors)
+    return vessel, dataclasses.replace(
+        dataset, measured=_velocities_turned(dataset.measured, -since)
+    )
+
+
+def _turned_since(vessel: Vessel, dataset: Dataset) -> Float[Array, "row"]:
+    """How far (rad) the heading has turned at each row since so long before as axes are late."""
+    t, part = dataset.t, dataset.part
+    begin = t[jnp.searchsorted(part, part, side="left").astype(int)]
+    then = jnp.maximum(t - vessel.sensors.latency_axes, begin)
+    return dataset.heading_between - jnp.interp(then, t, dataset.heading_between)
+
+
+def _velocities_turned(
+    measured: Float[Array, "row 6"], angle: Float[Array, "row"]
+) -> Float[Array, "row 6"]:
+    """Measurements whose velocities are in axes turned by an angle (rad)."""
+    x, y, psi, u, v, r = jnp.moveaxis(measured, 1, 0)
+    return jnp.stack([x, y, psi, *to_body(u, v, angle), r], axis=1)
+
+
 def _turned(measured: Float[Array, "row 6"], angle: Float[Array, "row"]) -> Float[Array, "row 6"]:
     """Measurements whose heading is greater by an angle (rad), the velocities turned with it."""
-    x, y, psi, u, v, r = jnp.moveaxis(measured, 1, 0)
-    u, v = to_body(u, v, angle)
-    return jnp.stack([x, y, psi + angle, u, v, r], axis=1)
+    turned = _velocities_turned(measured, angle)
+    return turned.at[:, _PSI].add(angle)
 
 
 def align_to_order_clock(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Dataset]:

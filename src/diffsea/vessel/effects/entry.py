@@ -113,8 +113,8 @@ class Effect:
     parts: tuple[str, ...] = ()  # names of those that it is where some of its amounts are zero
     # Whether it is asked of a vessel though nothing points at it; else only where an audit does.
     usual: Callable[[Vessel], bool] = lambda vessel: True
-    # Whether a vessel may have such numbers together: each within its bounds they all are.
-    plausible: Callable[[Numbers], bool] = lambda numbers: True
+    # Whether a vessel, as fitted, may have it with her other numbers; None: each within its bounds.
+    plausible: Callable[[Vessel], bool] | None = None
 
     @property
     def is_law(self) -> bool:

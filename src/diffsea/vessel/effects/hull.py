@@ -13,7 +13,6 @@ from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, ANY, Bound, Ons
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
     Effect,
-    Numbers,
     Parametrisation,
     add_force,
     add_to,
@@ -176,13 +175,18 @@ def drag_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
     return add_force(vessel, "drag-change", Change(at[0], at[1], "resistance"))
 
 
-def _is_nearly_symmetric(numbers: Numbers) -> bool:
-    """Whether both added masses that couple sway and yaw have one sign.
+def _may_couple(vessel: Vessel) -> bool:
+    """Whether a hull may have the added masses that couple sway and yaw.
 
-    In an ideal fluid they are one number (Newman 1977), and viscosity parts them
-    by less than their size. Of opposite signs they are what else is wrong with the motion.
+    In an ideal fluid they are one number (Newman 1977), and viscosity parts them by less than
+    their size: of opposite signs they are what else is wrong with the motion. They are the added
+    mass in sway times the distance of its middle from amidships: L / 4 if one half of the hull
+    had all of it.
     """
-    return float(numbers.get("Y_rdot", 0.0)) * float(numbers.get("N_vdot", 0.0)) >= 0
+    mass = vessel.added_mass
+    farthest = LEVER_BOUND * float(vessel.rigid_body.length) * abs(float(mass.Y_vdot))
+    couplings = float(mass.Y_rdot), float(mass.N_vdot)
+    return couplings[0] * couplings[1] >= 0 and max(map(abs, couplings)) <= farthest
 
 
 def _added_mass_coupling(variant: str, units: dict[str, str]) -> Effect:
@@ -206,7 +210,7 @@ def _added_mass_coupling(variant: str, units: dict[str, str]) -> Effect:
         phrase="an added mass that couples sway and yaw",
         confusables=("munk-moment", "speed-dependent-damping", "sway-yaw-coupling"),
         possible=is_possible,
-        plausible=_is_nearly_symmetric,
+        plausible=_may_couple,
     )
     def off_diagonal(vessel: Vessel, at: CoordinateValues) -> Vessel:
         """Off-diagonal inertia m x_G - Y_rdot, m x_G - N_vdot (Fossen 2021, section 6.5)."""

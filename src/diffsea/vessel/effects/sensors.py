@@ -32,6 +32,7 @@ LATENCY_CHANNELS = {
     "velocity": ("u", "v"),
     "yaw_rate": ("r",),
 }
+RECEIVER = ("position", "velocity")  # of which it tells together
 _LIKE_LATENCY = ("lever-arm", "clock-drift", "thrust-delay", "thrust-lag", "rate-limit", "current")
 
 
@@ -44,7 +45,7 @@ def _add_latency(vessel: Vessel, delay: Scalar, groups: Sequence[str]) -> Vessel
 
 def _read_latency(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
     """A delay of the groups of channels that a table names, of positions where it names none."""
-    check_keys(table, ("name", "delay", "channels"), where)
+    check_keys(table, ("name", "delay", "channels", "turned_by"), where)
     delay = needed(table, "delay", where)
     channels = read_names(table, "channels", where, ' such as ["x", "y"]')
     if channels is None:
@@ -53,7 +54,14 @@ def _read_latency(vessel: Vessel, table: Table, variants: Sequence[Effect], wher
     groups = [g for g, members in LATENCY_CHANNELS.items() if set(members) & set(channels)]
     if not groups or not set(channels) <= known:
         raise UserError(f"{where}: channels are among x, y, psi, u, v, r")
-    return _add_latency(vessel, np.asarray(delay), groups)
+    turned_by = read_names(table, "turned_by", where, ' such as ["psi"]')
+    if turned_by is None:
+        return _add_latency(vessel, np.asarray(delay), groups)
+    if turned_by != ["psi"] or set(groups) != set(RECEIVER):
+        raise UserError(
+            f'{where}: turned_by is ["psi"], of a receiver: with channels = ["x", "y", "u", "v"]'
+        )
+    return late_receiver.apply(vessel, np.array([delay]))
 
 
 def _latency(
@@ -61,7 +69,6 @@ def _latency(
     *groups: str,
     phrase: str = "a measured {channels} that arrives {delay:size} late",
     mirror: str = "",
-    needs: str = "",
 ) -> Effect:
     """Channels that are late by one delay; the variant `mirror` has all the others."""
 
@@ -72,7 +79,6 @@ def _latency(
         confusables=_LIKE_LATENCY,
         place=MeasuredChannels(tuple(name for group in groups for name in LATENCY_CHANNELS[group])),
         mirror=mirror and f"sensor-latency:{mirror}",
-        needs=needs,
         read=_read_latency,
     )
     def latency(vessel: Vessel, delay: CoordinateValues) -> Vessel:
@@ -82,6 +88,32 @@ def _latency(
         return _add_latency(vessel, delay[0], groups)
 
     return latency
+
+
+@dataclasses.dataclass(frozen=True)
+class TurnedChannels(MeasuredChannels):
+    """Channels of which velocities over ground were turned into the axes of a measured heading."""
+
+    def in_file(self, vessel: Vessel) -> dict[str, list[str]]:
+        """All of them by name, and what turned them."""
+        return super().in_file(vessel) | {"turned_by": ["psi"]}
+
+
+@_sensor_effect(
+    "sensor-latency:receiver",
+    Size("delay", "s", vessel_time, positive=True, valid_to=3.0),
+    phrase="a receiver whose positions and velocities arrive {delay:size} late",
+    confusables=_LIKE_LATENCY,
+    place=TurnedChannels(tuple(name for group in RECEIVER for name in LATENCY_CHANNELS[group])),
+    needs="u",
+    read=_read_latency,
+)
+def late_receiver(vessel: Vessel, delay: CoordinateValues) -> Vessel:
+    """p_m(t) = p(t - delay), and velocities over ground of then in the axes of the heading at t:
+    (u + i v)_m(t) = (u + i v)(t - delay) exp(i (psi(t - delay) - psi(t))).
+    """
+    vessel = _add_latency(vessel, delay[0], RECEIVER)
+    return add_to(vessel, lambda v: v.sensors.latency_axes, delay[0])
 
 
 @_sensor_effect(
@@ -187,14 +219,7 @@ SENSORS = (
     gyro_step,
     _latency("position", "position", mirror="but_position"),
     *(_latency(group, group) for group in ("heading", "velocity", "yaw_rate")),
-    # Velocities over ground are a receiver's as positions are: each alone, late, contradicts the
-    # other.
-    _latency(
-        "receiver",
-        *("position", "velocity"),
-        phrase="a measured position and velocity that arrive {delay:size} late",
-        needs="u",
-    ),
+    late_receiver,
     # Positions that are ahead of everything else, as of a receiver that extrapolates: what is late
     # is all the others.
     _latency(
