@@ -302,6 +302,8 @@ KEY_UNITS = {
     "turned_by": "names",
 }  # of keys that are no parameter
 
+CHANNEL_UNITS = {"phi": "rad", "u": "m/s"}  # of channels that recordings must have
+
 # Which vessels are asked whether they have it, where not all are.
 _KIND = "those with such channels."
 VESSELS = {
@@ -390,10 +392,11 @@ def section(name: str) -> str:
         lines.append(f"Special cases, each named instead where it does nearly as well: {alone}.")
     alike = dict.fromkeys(other for one in entries for other in one.confusables if other != name)
     lines.append("May be confused with: " + ", ".join(map(linked, alike)) + ".")
-    channels = {one.needs for one in entries} if all(one.needs for one in entries) else set()
-    if channels:
-        listed = ", ".join(f"`{channel}`" for channel in sorted(channels))
-        lines.append(f"Recordings: {listed} in every run (a column of that name, in rad).")
+    for needed in dict.fromkeys(one.needs for one in entries if one.needs):
+        needing = [f"`{one.name}`" for one in entries if one.needs == needed]
+        of = "" if len(needing) == len(entries) else f", for {', '.join(needing)}"
+        unit = f", in {CHANNEL_UNITS[needed]}"
+        lines.append(f"Recordings: `{needed}` in every run (a column of that name{unit}){of}.")
     if any(one.needs_feedback for one in entries):
         lines.append("Recordings: `exec_` of the channels in every run, measured.")
     if name in VESSELS:

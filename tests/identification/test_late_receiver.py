@@ -2,17 +2,22 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.diagnosis.small import DOCUMENT
 from tests.runs import random_steps, varied
 
-from diffsea import EFFECTS, UserError, Vessel
+from diffsea import EFFECTS, State, UserError, Vessel
 from diffsea.identification.data.dataset import make_dataset
 from diffsea.identification.filter.corrections import as_shown, corrected
 from diffsea.identification.fit import estimate_surely
 from diffsea.identification.problem import make_problem
+from diffsea.missions.record import SensorErrors
+from diffsea.missions.surroundings import instrumented
 from diffsea.parameters import named
+from diffsea.simulation.control.autopilot import AbstractController
+from diffsea.simulation.sensed_motion import shown_motion, true_motion
 from diffsea.vessel.files import build
 
 
@@ -34,6 +39,19 @@ def received(seed: int, late: float = LATE, noise: float = 1.0):
     motion |= {"u": shown(body.real, 0.02), "v": shown(body.imag, 0.02)}
     motion |= {"psi": shown(run.psi, 0.003), "r": shown(run.r, 0.003)}
     return dataclasses.replace(run, **motion, name=f"run {seed}")
+
+
+class Fixed(AbstractController):
+    """Orders nothing."""
+
+    def init(self):
+        return None
+
+    def step(self, memory, state, t, dt):
+        return memory, {}
+
+    def is_finished(self, memory):
+        return jnp.asarray(False)
 
 
 def late_vessel(late: float = LATE) -> Vessel:
@@ -71,6 +89,34 @@ def test_velocities_are_put_back_into_the_axes_of_when_they_are_of():
         assert np.abs(np.asarray(dataset.measured)[known, k] - then).max() > 5 * off
     again = as_shown(vessel, dataclasses.replace(dataset, measured=back.measured))
     np.testing.assert_allclose(again.measured, dataset.measured, atol=1e-12)
+
+
+def test_the_motion_behind_a_recording_is_shown_as_it_was_recorded():
+    rows = 3  # late: no sample lies between two
+    true = random_steps(DOCUMENT, 4, 60.0, 0.1, noise=0.0)
+    run, sensors = received(4, 0.1 * rows, noise=0.0), late_vessel(0.1 * rows).sensors
+    inner = slice(20, -20)
+    motion, _ = true_motion(sensors, run, {})
+    for channel in ("x", "y", "psi", "u", "v", "r"):
+        off = np.abs(motion[channel] - true.motion[channel])[inner].max()
+        assert off < 1e-6, channel
+    shown = shown_motion(sensors, run.t, motion, {})
+    for channel, series in run.motion.items():
+        np.testing.assert_allclose(shown[channel][inner], series[inner], atol=1e-6)
+
+
+def test_a_controller_is_shown_it_so():
+    """On a steady turn: where it was, at its velocities of then in the axes of now."""
+    vessel, period, rate = late_vessel(0.4), 0.1, 0.5
+    still = instrumented(Fixed(), vessel, SensorErrors(), {}, 50, period, 0)
+    memory = still.init()
+    for k in range(30):
+        state = State(float(k), 0.0, rate * period * k, 1.0 + 0.01 * k, 0.2, rate)
+        memory, _ = still.step(memory, state, period * k, period)
+    x, _, psi, u, v, _ = np.asarray(memory.shown)
+    then = (1.0 + 0.01 * 25 + 0.2j) * np.exp(-1j * rate * 0.4)
+    assert x == 25.0 and psi == pytest.approx(rate * period * 29)
+    assert u + 1j * v == pytest.approx(then)
 
 
 def test_a_file_says_it_of_positions_and_velocities_together():

@@ -22,6 +22,7 @@ SECTIONS = {
 NAMES = sorted({catalogue_name(name) for name in EFFECTS})
 VALUES = {"channels": ["psi"], "depth": 50.0}  # what is not 0.5 where it is tried
 CHANNELS = {"lever-arm": ["x", "y"]}  # by effect, where others are asked for
+RECEIVED = {"turned_by": ["psi"], "channels": ["x", "y", "u", "v"]}  # keys that go together
 
 
 @functools.cache
@@ -85,6 +86,7 @@ def test_a_key_of_the_page_is_read(name, key, tmp_path):
     names |= {"channels": CHANNELS.get(name, VALUES["channels"])}
     chosen = dict.fromkeys((keys_on_page(name)[0], key))
     table = {"name": name} | {one: names.get(one, 0.5) for one in chosen}
+    table |= RECEIVED if key == "turned_by" else {}
     path = tmp_path / "vessel.toml"
     path.write_text(dump(document | {"effect": [*document.get("effect", []), table]}))
     assert read_vessel(path).document["effect"][-1] == table

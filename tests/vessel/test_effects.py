@@ -413,6 +413,21 @@ def test_a_latency_is_its_taylor_series_to_second_order():
     np.testing.assert_array_less(7.0, errors[0] / errors[1])  # 8 of a third-order remainder
 
 
+def test_a_late_receiver_shows_velocities_of_then_in_the_axes_of_now():
+    errors = []
+    for delay in (0.2, 0.1):
+        late = dict.fromkeys(("latency_position", "latency_velocity", "latency_axes"), delay)
+        found, run = shown_by(Sensors(**late)), turning()
+        then, now = run.at(TIMES - delay), run.at(TIMES)
+        turned = (then["u"] + 1j * then["v"]) * np.exp(1j * (then["psi"] - now["psi"]))
+        truth = {**now, "x": then["x"], "y": then["y"], "u": turned.real, "v": turned.imag}
+        errors.append([np.max(np.abs(found[c] - truth[c])) for c in ("x", "y", "u", "v")])
+        assert all(np.array_equal(found[c], now[c]) for c in ("psi", "r"))
+    errors = np.array(errors)
+    assert np.all(errors[1] < 1e-4)
+    np.testing.assert_array_less(7.0, errors[0] / errors[1])  # 8 of a third-order remainder
+
+
 def test_a_reading_is_a_mean_over_the_time_since_the_last_one():
     """A step of 0.3 rad a quarter of an interval before the reading at 2 s shows a quarter."""
     sensors = Sensors(heading_steps=(Step(0.3, 1.95),), gyro_steps=(Step(0.01, 0.0),) * 2)

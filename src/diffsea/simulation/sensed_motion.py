@@ -37,7 +37,10 @@ def shown_motion(
     psi, turned = np.asarray(sensors.shown_heading(late["psi"])), np.zeros_like(t)
     for _ in range(_COMPASS_ITERATIONS):  # an estimator's deviation depends on what it shows
         turned = _deviation(sensors, t, psi + turned, shares)
-    u, v = to_body(*sensors.shown_velocities(late["u"], late["v"], late["r"]), turned)
+    now = t - np.asarray(lags["psi"]) + float(sensors.latency_heading)
+    since = -_turned_within(-float(sensors.latency_axes), now, t, true["psi"])
+    shown = sensors.shown_velocities(late["u"], late["v"], late["r"])
+    u, v = to_body(*shown, turned + since)
     return {
         "x": late["x"] + np.asarray(north),
         "y": late["y"] + np.asarray(east),
@@ -59,7 +62,10 @@ def true_motion(
     derived, notes = [c for c in ("psi", "u", "v", "r") if not run.has(c)], ()
     turned = _shown_deviation(sensors, run, shares)
     true = {c: _true_channel(sensors, run, c, turned) for c in MOTION_CHANNELS}
-    u, v = to_body(true["u"], true["v"], -turned - sensors.axes_offset)
+    until = np.zeros_like(run.t)
+    if run.has("psi"):
+        until = _turned_within(float(sensors.latency_axes), run.t, run.t, true["psi"])
+    u, v = to_body(true["u"], true["v"], -turned - until - sensors.axes_offset)
     if run.has("u") and run.has("v"):
         true |= {"u": np.asarray(u), "v": np.asarray(v)}
     if not (run.has("psi") or run.has("r")):
@@ -87,6 +93,11 @@ def true_motion(
     at_sensor = {"u": true["u"] + y * true["r"], "v": true["v"] - x * true["r"]}
     true |= {c: at_sensor[c] for c in at_sensor if c not in derived}
     return true, notes
+
+
+def _turned_within(seconds: float, since: Samples, t: Samples, psi: Samples) -> Samples:
+    """How far (rad) a heading `psi` at times t turns within some seconds of others."""
+    return _extrapolate(since + seconds, t, psi) - _extrapolate(since, t, psi)
 
 
 def _shown_deviation(sensors: Sensors, run: Trajectory, shares: Shares) -> Samples:
