@@ -9,6 +9,7 @@ from tests.diagnosis.small import DOCUMENT
 from tests.runs import random_steps, varied
 
 from diffsea import EFFECTS, State, UserError, Vessel
+from diffsea.diagnosis.screening import candidate_effects
 from diffsea.identification.data.dataset import make_dataset
 from diffsea.identification.filter.corrections import as_shown, corrected
 from diffsea.identification.fit import estimate_surely
@@ -117,6 +118,13 @@ def test_a_controller_is_shown_it_so():
     then = (1.0 + 0.01 * 25 + 0.2j) * np.exp(-1j * rate * 0.4)
     assert x == 25.0 and psi == pytest.approx(rate * period * 29)
     assert u + 1j * v == pytest.approx(then)
+
+
+def test_a_log_without_velocities_is_not_asked_for_it():
+    run = received(5)
+    without = dataclasses.replace(run, u=np.full(len(run.t), np.nan), v=np.full(len(run.t), np.nan))
+    asked = lambda one: RECEIVER in [e.name for e in candidate_effects(build(DOCUMENT), [one])]
+    assert asked(run) and not asked(without)
 
 
 def test_a_file_says_it_of_positions_and_velocities_together():

@@ -92,7 +92,7 @@ def test_rows_of_a_reference_stand_after_those_of_the_prior():
     assert len(columns) == len(tried) == len(residual)
     assert not columns[-2:].any() and not tried[-2:].any()
     pulse = np.zeros((1, problem.dataset.t.size, 3))
-    pulse[0, 3] = 1.0
+    pulse[0, :, 0] = 1.0
     (pushed,) = linearise_model(problem, estimate).by_pulses(pulse).T
     assert len(pushed) == len(residual) and pushed.any() and not pushed[-2:].any()
 
