@@ -19,7 +19,16 @@ from diffsea.outside.unfinished import PREFIX, unfinished_folder
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_cache")]
 LONG = (
-    *("trial", "fit", "sweep", "sensitivity", "predict", "diagnose", "segment --format parquet"),
+    *(
+        "trial",
+        "fit",
+        "sweep",
+        "sensitivity",
+        "predict",
+        "diagnose",
+        "segment",
+        "segment --format parquet",
+    ),
     *("online", "campaign", "show"),
 )
 NAMES = [

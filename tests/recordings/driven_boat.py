@@ -6,6 +6,7 @@ library. Axes are NED.
 
 import dataclasses
 import datetime
+import functools
 import json
 import struct
 
@@ -41,7 +42,7 @@ class DrivenBoat:
         fields = dataclasses.asdict(self)
         return DrivenBoat(**{name: series[::step] for name, series in fields.items()})
 
-    @property
+    @functools.cached_property
     def north_east(self):
         """Velocity over ground, north + i east."""
         return (self.u + 1j * self.v) * np.exp(1j * self.psi)
