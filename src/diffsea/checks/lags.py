@@ -64,10 +64,9 @@ def block_moments(
     everything = np.vstack([columns, np.ones_like(answer), np.where(known, answer, 0.0)])
     everything = everything * known
     length = max(1, round(scales.block / scales.interval))
-    starts = np.arange(0, answer.size, length)
-    return np.stack(
-        [everything[:, s : s + length] @ everything[:, s : s + length].T for s in starts]
-    )
+    filled = np.pad(everything, ((0, 0), (0, -answer.size % length)))
+    blocks = filled.reshape(len(filled), -1, length).swapaxes(0, 1)
+    return blocks @ blocks.swapaxes(1, 2)
 
 
 def _explained(moments: Float[np.ndarray, "*any q q"]) -> Float[np.ndarray, "*any"]:
