@@ -14,7 +14,6 @@ from diffsea.diagnosis.score import (
     Columns,
     Projection,
     linearise_model,
-    parts_of_runs,
 )
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Problem
@@ -105,7 +104,7 @@ def _columns_of_parts(
 ) -> Float[np.ndarray, "value part_column"]:
     """An effect's columns in each of `count` parts of every run, without those of the prior."""
     parts = []
-    for part in parts_of_runs(problem, count):
+    for part in problem.dataset.parts_of_runs(count):
         member = np.zeros(len(J))
         member[(6 * part[:, None] + np.arange(6)).ravel()] = 1.0
         parts.append(J * member[:, None])

@@ -98,13 +98,6 @@ def joint_null(
     return NullDistribution(np.sort(np.min(smallest, axis=0)))
 
 
-def parts_of_runs(problem: Problem, count: int) -> list[Int[np.ndarray, "_"]]:
-    """Rows of a data set in each of so many parts of every run, those that have any."""
-    runs = problem.dataset.rows_of_runs
-    parts = [part for rows in runs for part in np.array_split(rows, count)]
-    return [part for part in parts if len(part)]
-
-
 class ScoreTest(NamedTuple):
     """Outcome of a score test of one candidate."""
 
@@ -238,7 +231,7 @@ class LinearisedModel:
         return Projection(residual, nuisance, np.asarray(self.problem.dataset.run), correlation)
 
     def by_pulses(self, pulses: Float[np.ndarray, "pulse row 3"]) -> Columns:
-        """Columns of histories of accelerations (m/s^2, m/s^2, rad/s^2), untold by else."""
+        """Columns of histories of accelerations (m/s^2, m/s^2, rad/s^2), which have no prior."""
         J = slopes_by_pulses(self.problem, self.gains, self.coordinates, pulses)
         return np.concatenate([J, np.zeros((self._rows_beside, J.shape[1]))])
 

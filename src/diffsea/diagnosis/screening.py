@@ -21,7 +21,6 @@ from diffsea.diagnosis.score import (
     ScoreTest,
     joint_null,
     linearise_model,
-    parts_of_runs,
 )
 from diffsea.identification.coordinates import ExpansionPoint, expansion_points
 from diffsea.identification.estimates import Estimate
@@ -152,7 +151,7 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
         promising = [one.point for one in best.values() if one.expected > 0]
         around = [nearby_points(point, spacing[point.effect] / finer) for point in promising]
         test_points([point for several in around for point in several])
-    parts = parts_of_runs(problem, max(PARTS))
+    parts = problem.dataset.parts_of_runs(max(PARTS))
     best = {
         name: dataclasses.replace(one, scatter=projection.scatter(one.columns, parts))
         for name, one in best.items()

@@ -28,7 +28,7 @@ from diffsea.diagnosis.selection import (
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import free_by_default
 from diffsea.identification.data.dataset import DatasetShape
-from diffsea.identification.estimates import Estimate
+from diffsea.identification.estimates import Estimate, FitOutcome
 from diffsea.identification.filter.correlated_errors import independent_sampling
 from diffsea.identification.fit import Start, compile_programs, estimate, estimate_surely
 from diffsea.identification.holdout import Split, split_data, thinned
@@ -38,7 +38,7 @@ from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.reference import Reference, reference_of
 from diffsea.identification.sufficiency import Shortfall, shortfalls
 from diffsea.parameters import Parameter
-from diffsea.progress import Progress, no_progress
+from diffsea.progress import Progress, Remark, no_progress
 from diffsea.recordings import Finding
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
@@ -115,9 +115,8 @@ def diagnose(
     compile_programs(data.train, screened=True)
     if reference:
         progress("fitting it to those of reference first")
-        data = data.beside(
-            reference_fit(problem_of(list(reference), data.train.dataset.shape), free)
-        )
+        earlier = problem_of(list(reference), data.train.dataset.shape)
+        data = data.beside(reference_fit(earlier, free, progress))
     rough = estimate(data.train, free, rounds=FIRST_ROUNDS)
     if seldom := sparse_sampling(data.train, rough):
         often = ", ".join(f"{name} every {number}" for name, number in seldom.items())
@@ -143,11 +142,14 @@ def sparse_sampling(problem: Problem, rough: Estimate) -> Mapping[str, int]:
     return independent_sampling(rough.filter_run(problem), problem.dataset, length)
 
 
-def reference_fit(problem: Problem, free: tuple[str, ...]) -> Reference:
+def reference_fit(problem: Problem, free: tuple[str, ...], progress: Progress) -> Reference:
     """What recordings of a reference period tell of the vessel's parameters."""
     rough = estimate(problem, free, rounds=FIRST_ROUNDS)
     problem = thinned(problem, sparse_sampling(problem, rough))
-    return reference_of(problem, estimate_surely(problem, free, Start.of_other_data(rough)))
+    fitted = estimate_surely(problem, free, Start.of_other_data(rough), progress=progress)
+    if fitted.outcome not in (FitOutcome.CONVERGED, FitOutcome.BOUNDED):
+        progress(Remark(f"of the recordings of reference, {fitted.outcome.sentence}"))
+    return reference_of(problem, fitted)
 
 
 def nominal_elsewhere(problem: Problem, nominal: Estimate, progress: Progress) -> Estimate:

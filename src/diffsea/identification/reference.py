@@ -58,8 +58,7 @@ def reference_of(problem: Problem, fitted: Estimate) -> Reference:
     values = 6 * len(problem.dataset.run)
     terms = rows.jacobian[:values] * rows.residual[:values, None]
     by_row = terms.reshape(-1, 6, terms.shape[1]).sum(1)
-    parts = [part for run in problem.dataset.rows_of_runs for part in np.array_split(run, PARTS)]
-    scores = np.array([by_row[part].sum(0) for part in parts if len(part)])
+    scores = np.array([by_row[part].sum(0) for part in problem.dataset.parts_of_runs(PARTS)])
     between = scores.T @ scores * len(scores) / (len(scores) - 1)
     variance = np.maximum(np.diag(fitted.covariance), np.diag(plain @ (between + prior) @ plain))
     wider = np.sqrt(variance / np.diag(plain))

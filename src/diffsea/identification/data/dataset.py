@@ -112,6 +112,11 @@ class Dataset(eqx.Module):
         run, recorded = np.asarray(self.run), self.recorded_rows
         return [np.flatnonzero((run == number) & recorded) for number in range(self.runs)]
 
+    def parts_of_runs(self, count: int) -> list[Int[np.ndarray, "_"]]:
+        """Numbers of the recorded rows in each of so many parts of every run, those with any."""
+        parts = [part for rows in self.rows_of_runs for part in np.array_split(rows, count)]
+        return [part for part in parts if len(part)]
+
     @property
     def recorded_channels(self) -> Bool[np.ndarray, "6"]:
         """Which motion channels have any measurement."""
