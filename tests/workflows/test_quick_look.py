@@ -45,7 +45,7 @@ def test_a_run_without_anything_to_thin_stays_as_it_is(run):
 def test_a_quick_diagnosis_searches_less_in_thinner_data(run, tmp_path, monkeypatch):
     seen = {}
 
-    def search(vessel, runs, *rest, effort):
+    def search(vessel, runs, *rest, effort, **others):
         seen["rows"], seen["effort"] = len(runs[0].t), effort
         raise UserError("far enough")
 
