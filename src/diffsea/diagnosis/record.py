@@ -419,7 +419,8 @@ def vessel_document(document: Table, diagnosis: Diagnosis, in_the_end: bool = Fa
     """The vessel's document with fitted derivatives and the effects found.
 
     An environment of its own for each recording belongs to the recordings, not the vessel. A vessel
-    as it is `in_the_end` has every change from the beginning of a run on.
+    as it is `in_the_end` has every change from the beginning of a run on; of a change before all
+    recordings, since those of reference, she has it in any case.
     """
     problem, final = diagnosis.split.train, diagnosis.final
     tables = []
@@ -428,7 +429,9 @@ def vessel_document(document: Table, diagnosis: Diagnosis, in_the_end: bool = Fa
         if len(instances) == 1 and is_known(instances[0]):
             table = effect_table(problem.base, name, instances[0])
             onset = EFFECTS[name].scanned
-            if in_the_end and onset is not None and isinstance(onset[1], Onset):
+            if key := _changed_before(problem, name, instances[0]):
+                table.pop(key, None)
+            elif in_the_end and onset is not None and isinstance(onset[1], Onset):
                 table.pop(onset[1].key, None)
             tables.append(table)
     return _fitted_document(document, problem, final, tables)

@@ -114,7 +114,7 @@ def diagnose(
     progress("fitting the vessel file to the recordings")
     compile_programs(data.train, screened=True)
     if reference:
-        progress("fitting it to those of reference first")
+        progress("fitting it to the recordings of reference first")
         earlier = problem_of(list(reference), data.train.dataset.shape)
         data = data.beside(reference_fit(earlier, free, progress))
     rough = estimate(data.train, free, rounds=FIRST_ROUNDS)

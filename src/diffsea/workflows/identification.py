@@ -454,7 +454,7 @@ def diagnose(
         progress("comparing predictions")
         documents = (
             nominal_document(file.document, found),
-            vessel_document(file.document, found, in_the_end=in_order or bool(earlier)),
+            vessel_document(file.document, found, in_the_end=in_order),
         )
         nominal, diagnosed = (VesselFile(build(one), one, file.path) for one in documents)
         predicted = []
