@@ -46,12 +46,12 @@ from .workflows.audits import Findings as Findings
 from .workflows.audits import audit as audit
 from .workflows.campaigns import CampaignResult as CampaignResult
 from .workflows.campaigns import campaign as campaign
+from .workflows.diagnoses import DiagnosisResult as DiagnosisResult
+from .workflows.diagnoses import diagnose as diagnose
+from .workflows.fits import FitResult as FitResult
+from .workflows.fits import fit as fit
 from .workflows.fleet import FleetResult as FleetResult
 from .workflows.fleet import fleet as fleet
-from .workflows.identification import DiagnosisResult as DiagnosisResult
-from .workflows.identification import FitResult as FitResult
-from .workflows.identification import diagnose as diagnose
-from .workflows.identification import fit as fit
 from .workflows.metamodel import MetamodelResult as MetamodelResult
 from .workflows.metamodel import metamodel as metamodel
 from .workflows.missions import MissionResult as MissionResult

@@ -34,6 +34,10 @@ def test_a_load_that_looks_like_added_mass_is_found_beside_recordings_without_it
     assert abs(mass["value"] - load) < 2 * mass["std"] < 0.2 * load
     assert time["before_recordings"] and time["value"] == 0.0 and time["std"] is None
     assert any("larger from before these recordings on" in line for line in since.notes())
-    assert "before these recordings" in since.html()
+    page = since.html()
+    assert "before these recordings" in page
+    assert "what changed since 2 recordings of reference" in page
+    assert since.record["source"]["reference"] == ["run 1", "run 2"]
+    assert "reference" not in alone.record["source"] and "of reference" not in alone.html()
     (table,) = since.diagnosed.document["effect"]
     assert table["mass"] == pytest.approx(mass["value"], rel=1e-3) and "time" not in table

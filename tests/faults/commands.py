@@ -45,8 +45,8 @@ ZIGZAG = ("--manoeuvre", "zigzag", "--executes", "2", "--step", "0.1")
 # What takes long, by the name under which commands find it.
 REMEMBERED = (
     "diffsea.studies.sensitivity.sensitivities",
-    "diffsea.workflows.identification.fit",
-    "diffsea.workflows.identification.diagnose",
+    "diffsea.workflows.fits.fit",
+    "diffsea.workflows.diagnoses.diagnose",
     "diffsea.workflows.campaigns.campaign",
     "diffsea.workflows.missions.run_mission",
     "diffsea.workflows.missions.run_battery",

@@ -106,7 +106,7 @@ def test_a_fit_that_is_interrupted_goes_on_from_its_fits(data, tmp_path, capsys,
         assert capsys.readouterr().err.endswith("nothing was written\n")
     shutil.rmtree(old)
     with monkeypatch.context() as patch:
-        patch.setattr("diffsea.workflows.identification.compare_fit", stop)
+        patch.setattr("diffsea.workflows.fits.compare_fit", stop)
         assert done("fit", data, out, "--parts", str(parts))[0] == 130
     assert list(parts.iterdir()) and not out.exists()
     assert f"kept in {parts}: the same command goes on" in capsys.readouterr().err

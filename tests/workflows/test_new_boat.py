@@ -20,7 +20,7 @@ from diffsea.simulation.replay import prediction_misses
 from diffsea.vessel.estimates import Known, Thrusters, hull_estimates, outline_of
 from diffsea.vessel.estimates.vessel_text import vessel_text
 from diffsea.vessel.files import VesselFile, build
-from diffsea.workflows.identification import fit
+from diffsea.workflows.fits import fit
 
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_cache")]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from diffsea.parameters import Parameter
     from diffsea.trajectory import Trajectory
     from diffsea.vessel.files import VesselFile
-    from diffsea.workflows.identification import FitResult
+    from diffsea.workflows.fits import FitResult
 
 
 ANCHORS = ("mass", "thrust")  # as the library has them, which would import JAX to be asked
@@ -121,7 +121,8 @@ def fit_command(args: argparse.Namespace) -> None:
         from diffsea.report.fit import fit_report
         from diffsea.report.predictions import horizon_table
         from diffsea.vessel.files import dump
-        from diffsea.workflows.identification import fit, provenance
+        from diffsea.workflows.fits import fit
+        from diffsea.workflows.inputs import provenance
 
         history: list[str] = []
 
@@ -162,7 +163,7 @@ def fit_command(args: argparse.Namespace) -> None:
 def _read_data(args: argparse.Namespace) -> "tuple[list[Any], list[Trajectory]]":
     """What is fitted, recordings and sheets of trial numbers, and the recordings held out."""
     from diffsea.identification.objectives.trial_numbers import is_trial_table
-    from diffsea.workflows.identification import check_held_out
+    from diffsea.workflows.inputs import check_held_out
 
     sheets = [path for path in args.recordings if is_trial_table(path)]
     recordings = [path for path in args.recordings if path not in sheets]
@@ -289,7 +290,7 @@ def diagnose_command(args: argparse.Namespace) -> None:
         from diffsea.diagnosis.experiment import commands
         from diffsea.report.wording.terminal import verdict_text
         from diffsea.vessel.files import dump
-        from diffsea.workflows.identification import diagnose
+        from diffsea.workflows.diagnoses import diagnose
 
         next_csv = args.next_manoeuvre and out.elsewhere(args.next_manoeuvre, "--next-manoeuvre")
         with StagedProgress(OF_DIAGNOSIS) as tell:

@@ -84,6 +84,9 @@ def diagnosis_report(
     models = {"nominal": "nominal", "diagnosed": "diagnosed"}
     if not words.named_effects(summary):
         models = {"diagnosed": "predicted"}
+    subtitle = f"{words.count_recordings(len(recordings))}, {kept_back} held out"
+    if earlier := source.get("reference"):
+        subtitle += f"; what changed since {words.count_recordings(len(earlier))} of reference"
     used = [(run, "fitted") for run in recordings]
     used += [] if by_time else [(run, "held out") for run in held_out]
     null = summary["null"]
@@ -109,7 +112,7 @@ def diagnosis_report(
         "diagnosis.html.j2",
         bundle="cartesian",
         title=f"Diagnosis of {vessel_name}",
-        subtitle=f"{words.count_recordings(len(recordings))}, {kept_back} held out",
+        subtitle=subtitle,
         verdict=summary["verdict"],
         in_part=summary["verdict"] == "unexplained" and bool(words.named_effects(summary)),
         misread=findings.misread_sentences(summary),

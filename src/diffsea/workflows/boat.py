@@ -96,7 +96,9 @@ def _fitted(job: dict[str, Any], rows: list[dict[str, Any]], runs: list[Any]) ->
     from diffsea.identification.data.dataset import make_dataset
     from diffsea.recordings.idle import used_parts
     from diffsea.simulation.order_units import require_order_units
-    from diffsea.workflows.identification import as_vessel_file, diagnose, fit
+    from diffsea.workflows.diagnoses import diagnose
+    from diffsea.workflows.fits import fit
+    from diffsea.workflows.inputs import as_vessel_file
 
     file, settings = as_vessel_file(job["vessel"]), job["settings"]
     kept: dict[str, list[Any]] = {"train": [], "test": []}

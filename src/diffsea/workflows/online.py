@@ -37,7 +37,7 @@ from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import VesselFile
 from diffsea.workflows.audits import Recording, Tabulated, as_recording, as_recordings
-from diffsea.workflows.identification import as_vessel_file, provenance
+from diffsea.workflows.inputs import as_vessel_file, provenance
 
 
 KEPT_DIGITS = 7  # of every number of online.json but the times
