@@ -11,7 +11,7 @@ from tests.diagnosis.small import DOCUMENT, STEADY, UNSTEADY, hypothesis, still_
 from tests.runs import random_steps
 
 from diffsea import EFFECTS, Finding, Trajectory, audit
-from diffsea.diagnosis import refits
+from diffsea.diagnosis import refits, selection
 from diffsea.diagnosis.audited import AuditedEffect, audited_effects
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
@@ -28,10 +28,11 @@ from diffsea.diagnosis.selection import (
     forward_search,
     resume_stalled_fit,
     withdraw_outdone,
+    withdraw_worsening,
 )
 from diffsea.diagnosis.verdict import believe_audit, explain
 from diffsea.identification.fit import Start, estimate
-from diffsea.identification.free_predictions import relative_losses
+from diffsea.identification.free_predictions import ChanceOfLoss, relative_losses
 from diffsea.identification.holdout import exchanged_fit, split_data
 from diffsea.identification.problem import make_problem
 from diffsea.progress import no_progress
@@ -331,6 +332,25 @@ def test_names_stand_where_little_is_left(data, found):
     search = dataclasses.replace(found, effects=(with_statistic(first, 0.0), second))
     common = Bootstrap(np.zeros(200), np.zeros(200))
     assert withdraw_outdone(data, search, common, no_progress) is search
+
+
+def test_names_that_make_the_motion_worse_together_are_withdrawn_from_the_last_on(
+    data, found, monkeypatch
+):
+    """With the second the motion is predicted worse than with none, with the first alone not."""
+    first, second = found.effects
+
+    def change(split, before, after):
+        assert before is found.nominal
+        loss = selection.MotionChange({20.0: 1.2}, {20.0: ChanceOfLoss(0.999, 0.999)})
+        return loss if second.name in after.free else dataclasses.replace(loss, ratio={20.0: 1.0})
+
+    assert withdraw_worsening(data, found, no_progress) is found  # in truth, both are there
+    monkeypatch.setattr(selection, "motion_change", change)
+    final = withdraw_worsening(data, found, no_progress)
+    assert accepted_names(final) == (first.name,) and final.dropped[-1] == second.name
+    assert second.name not in final.final.free and first.name in final.final.free
+    assert second.name in final.final_screening.candidates
 
 
 @pytest.fixture(scope="module")

@@ -310,3 +310,25 @@ def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progr
     rest, _ = ask_again(data, rest, rest.searched, progress)
     screening = screen(data.train, rest.final)
     return replace(rest, final_screening=screening, dropped=(*rest.dropped, *outdone))
+
+
+def withdraw_worsening(data: Split, kept: Search, progress: Progress) -> Search:
+    """Withdraw names, the last one first, until predictions are no worse than without any.
+
+    Each predicted the motion no worse than those before it, beyond chance and noticeably: several
+    that are each a little worse may be much worse together.
+    """
+    while kept.searched and not current_budget().skips("whether all names predict no worse"):
+        progress("does the vessel with all that was found move as the recorded one?")
+        if not motion_change(data, kept.nominal, kept.final).is_worse:
+            break
+        last = kept.searched[-1]
+        bare = refit_without(data.train, kept.final, [last.name], last.hypothesis.without)
+        kept = replace(
+            kept,
+            final=bare,
+            final_screening=screen(data.train, bare),
+            effects=tuple(one for one in kept.effects if one is not last),
+            dropped=(*kept.dropped, last.name),
+        )
+    return kept

@@ -24,6 +24,7 @@ from diffsea.diagnosis.selection import (
     ask_again,
     forward_search,
     withdraw_outdone,
+    withdraw_worsening,
 )
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import free_by_default
@@ -214,7 +215,7 @@ def explain(
     kept, changed = ask_again(data, found, asked, progress)
     if changed:
         kept = replace(kept, final_screening=screen(data.train, kept.final))
-    final = withdraw_outdone(data, kept, null, progress)
+    final = withdraw_worsening(data, withdraw_outdone(data, kept, null, progress), progress)
     p_value = unexplained_p_value(kept, final, null)
     short = shortfalls(data, final.final) if p_value >= ALPHA else ()
     verdict = verdict_on(final.effects, p_value, short)
