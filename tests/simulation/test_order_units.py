@@ -1,5 +1,7 @@
 """Orders in another unit than the vessel's are told, and stop what would be made of them."""
 
+import dataclasses
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -8,7 +10,11 @@ from tests.paths import ORACLE
 from diffsea import UserError, VesselFile, diagnose, fit, predict
 from diffsea.cli import main
 from diffsea.recordings import KINDS
-from diffsea.simulation.order_units import require_order_units, unit_findings
+from diffsea.simulation.order_units import (
+    require_order_units,
+    unit_findings,
+    with_usable_actuation,
+)
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.files import build
 
@@ -75,6 +81,22 @@ def test_orders_of_a_thruster_in_another_unit_are_found_and_named(own, given):
     least, most = np.quantile(ORDERS[given], (0.01, 0.99))
     for said in ("run.csv: order part (cmd_part) is", f"{least:.4g} to {most:.4g}", own):
         assert said in str(error.value)
+
+
+def test_shaft_speeds_beside_orders_in_per_cent_are_not_used():
+    """Of both runs, and one remark; without orders, or with wrong ones, nothing is left to use."""
+    boat, told = vessel(**THRUSTERS["percent"]), []
+    orders, speeds = ORDERS["percent"], 9.6 * ORDERS["percent"]
+    measured = run(orders, executed=speeds)
+    used = with_usable_actuation(boat, [measured, measured], told.append)
+    assert [one.executed for one in used] == [{}, {}] and used[0].commanded == measured.commanded
+    (remark,) = told
+    assert "exec_part in another unit than the orders (run.csv, run.csv)" in remark
+    same = run(orders, executed=0.9 * orders)
+    assert with_usable_actuation(boat, [same], told.append) == [same] and len(told) == 1
+    for lacking in ({}, {"part": speeds}):
+        with pytest.raises(UserError, match="look like"):
+            with_usable_actuation(boat, [dataclasses.replace(measured, commanded=lacking)])
 
 
 def test_overshoots_and_wild_values_are_no_other_unit():

@@ -325,7 +325,7 @@ def predict_command(args: argparse.Namespace) -> None:
     from diffsea.report.predictions import Prediction
     from diffsea.report.wording.horizons import persistence_sentence
     from diffsea.simulation.actuation import how_actuated, recorded_shares
-    from diffsea.simulation.order_units import require_order_units
+    from diffsea.simulation.order_units import with_usable_actuation
     from diffsea.simulation.persistence import persistence_errors
     from diffsea.simulation.replay import horizon_errors, replay, replay_errors
     from diffsea.trajectory import Outcome
@@ -334,8 +334,8 @@ def predict_command(args: argparse.Namespace) -> None:
     with Outputs(args.output) as out, StagedProgress(stages) as tell:
         tell("reading")
         vessel = options.read_vessel(args).vessel
-        (recording,) = options.read_recordings([args.recording], args)
-        require_order_units(vessel, [recording])
+        recordings = options.read_recordings([args.recording], args)
+        (recording,) = with_usable_actuation(vessel, recordings, tell)
         environment = None
         if args.environment_from is not None:
             from diffsea.identification.holdout import environment_from

@@ -7,6 +7,7 @@ import numpy as np
 
 from diffsea import pulses
 from diffsea.errors import UserError
+from diffsea.progress import Progress, Remark, no_progress
 from diffsea.recordings.auditing.finding import Finding, finding_of
 from diffsea.trajectory import Samples, Trajectory
 from diffsea.vessel.base import Vessel
@@ -38,6 +39,43 @@ def unit_findings(vessel: Vessel, recording: Trajectory) -> list[Finding]:
             values = values[np.isfinite(values)]
             one = _finding(prefix + name, values, servo, units[name]) if values.size else None
             found += [] if one is None else [dataclasses.replace(one, recording=run.name)]
+    return found
+
+
+def with_usable_actuation(
+    vessel: Vessel, recordings: Iterable[Trajectory], progress: Progress = no_progress
+) -> list[Trajectory]:
+    """Recordings without executed actuation that is in another unit than the vessel's orders.
+
+    A shaft speed that was measured beside orders in per cent says nothing in per cent: what was
+    executed is reconstructed from such orders.
+
+    Raises:
+        UserError: as `require_order_units` does, of what is left.
+    """
+    found, left_out = list[Trajectory](), dict[tuple[str, ...], list[str]]()
+    for run in recordings:
+        certain = [one for one in unit_findings(vessel, run) if not one.doubt]
+        accused = {channel for one in certain for channel in one.channels}
+        needless = tuple(
+            name
+            for name in run.executed
+            if f"exec_{name}" in accused and name in run.commanded and f"cmd_{name}" not in accused
+        )
+        if needless:
+            left_out.setdefault(needless, []).append(run.name)
+            executed = {name: run.executed[name] for name in run.executed if name not in needless}
+            run = dataclasses.replace(run, executed=executed)
+        found.append(run)
+    for needless, names in left_out.items():
+        columns = " and ".join(f"exec_{name}" for name in needless)
+        progress(
+            Remark(
+                f"{columns} in another unit than the orders ({', '.join(names)}): what was "
+                "executed is reconstructed from these; a scale in the mapping would make it count"
+            )
+        )
+    require_order_units(vessel, found)
     return found
 
 

@@ -95,7 +95,7 @@ def _fitted(job: dict[str, Any], rows: list[dict[str, Any]], runs: list[Any]) ->
 
     from diffsea.identification.data.dataset import make_dataset
     from diffsea.recordings.idle import used_parts
-    from diffsea.simulation.order_units import require_order_units
+    from diffsea.simulation.order_units import with_usable_actuation
     from diffsea.workflows.diagnoses import diagnose
     from diffsea.workflows.fits import fit
     from diffsea.workflows.inputs import as_vessel_file
@@ -106,7 +106,7 @@ def _fitted(job: dict[str, Any], rows: list[dict[str, Any]], runs: list[Any]) ->
         if run is None:
             continue
         try:
-            require_order_units(file.vessel, [run])
+            (run,) = with_usable_actuation(file.vessel, [run])
             make_dataset(file.vessel, [run])
         except UserError as error:
             row |= {"status": "failed", "reason": str(error)}

@@ -24,7 +24,7 @@ from diffsea.recordings.conditioning import in_sequence, on_one_clock, share_a_c
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.predictions import ComparedRun, compare, horizon_table
 from diffsea.report.wording.terminal import verdict_text
-from diffsea.simulation.order_units import require_order_units, unit_findings
+from diffsea.simulation.order_units import unit_findings, with_usable_actuation
 from diffsea.vessel.files import (
     VesselFile,
     build,
@@ -135,10 +135,11 @@ def diagnose(
         deadline = Deadline(seconds)
         file = as_vessel_file(vessel)
         runs, held_out, earlier = (
-            as_used_recordings(some, mapping, keep_idle, progress)
+            with_usable_actuation(
+                file.vessel, as_used_recordings(some, mapping, keep_idle, progress), progress
+            )
             for some in (recordings, test, reference)
         )
-        require_order_units(file.vessel, [*runs, *held_out, *earlier])
         whole = [*runs, *held_out]
         in_order = one_after_another or share_a_calendar(whole)
         if in_order:

@@ -25,7 +25,7 @@ from diffsea.report.fit import compare_fit
 from diffsea.report.predictions import ComparedRun, horizon_table
 from diffsea.report.wording.caveats import side_sentences
 from diffsea.simulation.actuation import how_actuated
-from diffsea.simulation.order_units import order_doubts, require_order_units
+from diffsea.simulation.order_units import order_doubts, with_usable_actuation
 from diffsea.vessel.files import (
     VesselFile,
     build,
@@ -142,7 +142,11 @@ def fit(
     with time_budget(budget) as left:
         file = as_vessel_file(vessel)
         given = fitted_data(file.vessel, data, test, mapping, keep_idle, progress)
-        require_order_units(file.vessel, [*given.recordings, *given.test])
+        usable = (
+            with_usable_actuation(file.vessel, some, progress)
+            for some in (given.recordings, given.test)
+        )
+        given = FittedData(next(usable), given.trials, next(usable))
         not_done: tuple[str, ...] = ()
         if quick:
             whole = [*given.recordings, *given.test]

@@ -32,7 +32,7 @@ from diffsea.parameters import Parameter, named, parameter_meaning, parameter_un
 from diffsea.progress import Progress, counted, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.report.pages.online import online_report
-from diffsea.simulation.order_units import require_order_units
+from diffsea.simulation.order_units import with_usable_actuation
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import VesselFile
@@ -163,7 +163,7 @@ def online(
     file = as_vessel_file(vessel)
     given = as_recording(recording, mapping)
     known = as_recordings(sound, mapping)
-    require_order_units(file.vessel, [given, *known])
+    given, *known = with_usable_actuation(file.vessel, [given, *known])
     follow, settings = _estimator_along(file, free, estimator, drift, memory)
     if estimator == "kalman":
         guess = Noise.of(noise_prior(file.vessel, make_dataset(file.vessel, known or [given])).mean)

@@ -16,7 +16,7 @@ from diffsea.report.wording.horizons import persistence_sentence
 from diffsea.simulation import planning
 from diffsea.simulation.actuation import recorded_shares
 from diffsea.simulation.designs import Grid, LatinHypercube
-from diffsea.simulation.order_units import require_order_units
+from diffsea.simulation.order_units import with_usable_actuation
 from diffsea.simulation.persistence import persistence_errors
 from diffsea.simulation.replay import horizon_errors, replay, replay_errors
 from diffsea.studies import inverse, merging, sensitivity
@@ -140,8 +140,8 @@ def predict(
         UserError: a recording that cannot be read or does not fit the vessel, or a prediction that
             diverges.
     """
-    boat, run = as_vessel(vessel), as_recording(recording, mapping)
-    require_order_units(boat, [run])
+    boat = as_vessel(vessel)
+    (run,) = with_usable_actuation(boat, [as_recording(recording, mapping)])
     predicted = replay(boat, run, measured_actuation)
     if predicted.outcome == Outcome.DIVERGED:
         raise UserError(f"{run.name}: {Outcome.DIVERGED.sentence}")

@@ -21,6 +21,7 @@ from diffsea.trajectory import Samples, Trajectory
 
 _STANDING = 4.0  # s for which an order must have stood before what was executed is compared
 _NEAR_UNIT = 0.05  # logarithm: how close a ratio must be to that of two units
+_OTHER_UNIT = 3.0  # times what was ordered is given by no actuator: it is counted in another unit
 _DIFFERENT = 0.1  # a ratio this far from one is worth a finding
 _CERTAIN = 5.0  # standard errors
 _NOTABLE_OFFSET = 0.02  # of the orders' range: servos are set up to about a hundredth
@@ -108,14 +109,15 @@ def _executed_against_ordered(
         for known, unit in _RATIOS.items()
         if any(abs(np.log(abs(ratio) / value)) < _NEAR_UNIT for value in (known, 1 / known))
     ]
-    if ratio > 0 and not units:
+    if ratio > 0 and not units and 1 / _OTHER_UNIT < ratio < _OTHER_UNIT:
         words = {"order": (order,), "answer": (answer,), "standing": _STANDING, "limit": limit}
         by, fault = {"scale": ratio}, "feedback-scale"
         doubt = "an actuator that gives more or less than was ordered looks the same"
         size = ratio, error
         return [*early, finding_of(fault, channels, *size, words, parameters=by, doubt=doubt)]
     told = [words_and_names(channel) for channel in (answer, order)]
-    kind, what = "unit", f"is {ratio:.4g} times (one of them may be in {(*units, '')[0]})"
+    which = f"one of them may be in {units[0]}" if units else "it counts in another unit"
+    kind, what = "unit", f"is {ratio:.4g} times ({which})"
     if ratio < 0:
         kind, what = "sign", f"has the opposite sign of (ratio {ratio:.4g})"
     text = f"where orders have stood for {_STANDING:g} s, {told[0]} {what} {told[1]}{limit}"
