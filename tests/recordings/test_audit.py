@@ -809,7 +809,7 @@ def test_executed_actuation_is_compared_with_its_orders():
     assert finding.value == pytest.approx(0.8, abs=0.02)
     assert "never exceeds 0.2" in finding.message
     assert only(steps_and_answer(np.pi / 180), "unit").unit == "1"
-    other = only(steps_and_answer(9.6), "unit")  # as of a shaft speed beside an order in per cent
+    other = only(steps_and_answer(5.0), "unit")  # as of a shaft speed beside an order in per cent
     assert "it counts in another unit" in other.message and not other.parameters
     dead = steps_and_answer(0.0)
     assert only(dead, "constant").channels == ("exec_rudder",)

@@ -251,7 +251,7 @@ def test_calls_from_python_leave_idle_stretches_of_files_out_and_say_so(log):
 
 
 def test_a_fleet_leaves_idle_stretches_of_known_logs_out_and_says_so(log, monkeypatch):
-    from diffsea.workflows import boat, identification
+    from diffsea.workflows import boat, fits
 
     class Found(Exception):
         """What a fit was asked for."""
@@ -259,8 +259,9 @@ def test_a_fleet_leaves_idle_stretches_of_known_logs_out_and_says_so(log, monkey
     def asked(file, train, *other, **more):
         raise Found(train)
 
-    monkeypatch.setattr(identification, "fit", asked)
-    monkeypatch.setattr("diffsea.simulation.order_units.require_order_units", lambda *of: None)
+    monkeypatch.setattr(fits, "fit", asked)
+    usable = "diffsea.simulation.order_units.with_usable_actuation"
+    monkeypatch.setattr(usable, lambda vessel, some: list(some))
     monkeypatch.setattr("diffsea.identification.data.dataset.make_dataset", lambda *of: None)
     row = {"name": "monday", "recording": str(log("bin")), "mapping": None, "role": "train"}
     rows, runs = boat._read([row])

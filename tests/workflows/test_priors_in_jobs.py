@@ -8,7 +8,7 @@ from tests.runs import random_steps
 
 from diffsea import UserError, write_recording
 from diffsea.cli import main
-from diffsea.workflows import identification
+from diffsea.workflows import diagnoses
 
 
 PRIOR = "[prior]\nX_u = { std = 4.0 }\nN_r = { free = false }\nx_G = { std = 0.1 }\n"
@@ -24,7 +24,7 @@ def asked(tmp_path, monkeypatch):
         seen["free"], seen["priors"] = free, rest[-1]
         raise UserError("far enough")
 
-    monkeypatch.setattr(identification, "search_effects", search)
+    monkeypatch.setattr(diagnoses, "search_effects", search)
 
     def ask(prior: str, *words: str) -> dict:
         vessel.write_text(BOAT + prior)

@@ -15,7 +15,7 @@ from diffsea.cli import main
 from diffsea.diagnosis.selection import FULL_EFFORT
 from diffsea.recordings import thin
 from diffsea.report.wording.caveats import incomplete_sentence
-from diffsea.workflows import identification, quick
+from diffsea.workflows import diagnoses, quick
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_a_quick_diagnosis_searches_less_in_thinner_data(run, tmp_path, monkeypa
         seen["rows"], seen["effort"] = len(runs[0].t), effort
         raise UserError("far enough")
 
-    monkeypatch.setattr(identification, "search_effects", search)
+    monkeypatch.setattr(diagnoses, "search_effects", search)
     (tmp_path / "boat.toml").write_text(BOAT)
     write_recording(run, tmp_path / "run.csv")
     words = ["diagnose", str(tmp_path / "boat.toml"), str(tmp_path / "run.csv")]
