@@ -13,9 +13,8 @@ from tests.paths import DATA, EXPERIMENTS, ORACLE
 
 from diffsea import UserError, propose_mapping, read_mapping, read_recording
 from diffsea.cli import main
-from diffsea.recordings.mapping_proposal import is_foreign, suggest_labels
+from diffsea.recordings.mapping_proposal import SURE, is_foreign, suggest_labels
 from diffsea.recordings.mapping_proposal import proposal as proposal_module
-from diffsea.recordings.mapping_proposal.proposal import SURE
 from diffsea.recordings.mapping_proposal.table_layout import sniff_layout
 
 

@@ -17,12 +17,12 @@ DT, SECONDS = 0.2, 300.0
 READINGS = {"mirrored": (-1.0, np.pi / 2), "quarter": (1.0, np.pi / 2), "astern": (1.0, np.pi)}
 
 
-def ferry(seed: int, gain: float = 0.02) -> diffsea.Trajectory:
+def ferry(seed: int, gain: float = 0.02, widest: float = np.pi) -> diffsea.Trajectory:
     """A body with drag and an azimuth thruster that pushes at random; stepped by Euler's rule."""
     rng = np.random.default_rng(seed)
     rows = int(SECONDS / DT)
     hold = lambda least, most: np.repeat(rng.uniform(least, most, rows // 25 + 1), 25)[:rows]
-    force, angle, turning = hold(0.0, 10.0), hold(-np.pi, np.pi), hold(-0.1, 0.1)
+    force, angle, turning = hold(0.0, 10.0), hold(-widest, widest), hold(-0.1, 0.1)
     psi = np.cumsum(turning) * DT
     push = gain * force * np.exp(1j * angle)
     gusts = 0.02 * rng.standard_normal((2, rows)) / np.sqrt(DT)
@@ -71,6 +71,12 @@ def test_thrust_tells_a_heading_that_kinematics_cannot(reading):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_right_heading_is_left_alone(seed):
     assert axes_findings(ferry(seed)) == []
+
+
+@pytest.mark.parametrize("reading", READINGS.values(), ids=READINGS)
+def test_a_thruster_that_is_hardly_turned_tells_nothing(reading):
+    """As an outboard of which the legs are straight."""
+    assert axes_findings(disguised(ferry(1, widest=0.3), *reading)) == []
 
 
 @pytest.mark.parametrize("reading", READINGS.values(), ids=READINGS)

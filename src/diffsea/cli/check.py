@@ -120,7 +120,7 @@ def _write_mappings(
         if out.folder / name not in written:
             out.text(name, text)
             written[out.folder / name] = text
-        if how.known is None:
+        if how.known is None or how.known.guessed:
             needed[path] = next(file for file, other in written.items() if other == text)
     return needed
 

@@ -131,7 +131,7 @@ def _read_whole(source: str | Path | pd.DataFrame, mapping: Mapping | None) -> T
         return dataclasses.replace(run, read=dataclasses.replace(run.read, cut_off=found.cut_off))
     known = recognise(path) if mapping is None else None
     log = logs.read_log(path, known.mapping if known else mapping)
-    told = (known.sentence, *known.others, *known.missing) if known else ()
+    told = (known.sentence, *known.others, *known.missing.values()) if known else ()
     notes = [f"read {path.name}, sha256 {content_digest(path)}", *through, *told, *log.notes]
     run = _assemble(log.values, str(path), 1, notes, path.name, log.repeated_times)
     read = dataclasses.replace(run.read, recognised=told, rates=log.rates, cut_off=log.cut_off)

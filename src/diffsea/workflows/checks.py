@@ -17,9 +17,17 @@ from diffsea.recordings import (
     read_recording,
     unreadable,
 )
+from diffsea.recordings.auditing.mapping_rows import mapping_text
 from diffsea.recordings.geodesy import PlaceNote
 from diffsea.recordings.known import Recognised, recognise
-from diffsea.recordings.mapping_proposal import SURE, Proposal, foreign_layouts, propose_mapping
+from diffsea.recordings.mapping_proposal import (
+    SURE,
+    Proposal,
+    foreign_layouts,
+    native_with_guessed_actuators,
+    propose_mapping,
+    with_guessed_actuators,
+)
 from diffsea.recordings.mappings import (
     CHANNEL_DIMENSIONS,
     check_stems,
@@ -89,8 +97,7 @@ def choose_mappings(
             chosen[path] = unreadable(path.name, str(error))
             continue
         if known is not None:
-            text = known.text  # of any log of this kind
-            chosen[path] = ChosenMapping(known.mapping, text, text, known.sentence, known)
+            chosen[path] = _as_recognised(known)
         else:
             columns = "without a mapping" if logs.is_log(path) else "native columns"
             chosen[path] = ChosenMapping(None, None, None, columns)
@@ -116,7 +123,31 @@ def choose_mappings(
             texts = proposal.text, proposal.text_without_place
             how = ChosenMapping(proposal.mapping, *texts, told, guesses=proposal.guesses)
             chosen |= dict.fromkeys(group, how)
-    return chosen
+    return chosen | _with_guessed_actuators(chosen)
+
+
+def _with_guessed_actuators(
+    chosen: dict[Path, ChosenMapping | Finding],
+) -> dict[Path, ChosenMapping]:
+    """How those logs are read of which only the motion is known, where something seems to drive."""
+    known, native, found = dict[Path, Recognised](), list[Path](), dict[Path, ChosenMapping]()
+    for path, how in chosen.items():
+        if isinstance(how, ChosenMapping) and how.known is not None:
+            known[path] = how.known
+        elif isinstance(how, ChosenMapping) and how.mapping is None:
+            native.append(path)
+    for path, (log, guesses) in with_guessed_actuators(known).items():
+        found[path] = _as_recognised(log, guesses)
+    for path, (mapping, notes, doubtful) in native_with_guessed_actuators(native).items():
+        told = "native columns, and columns that drive the vessel by their names"
+        text = mapping_text(mapping, ["Native columns, and guessed ones of actuators.", *notes])
+        found[path] = ChosenMapping(mapping, text, text, told, guesses=doubtful)
+    return found
+
+
+def _as_recognised(known: Recognised, guesses: tuple[str, ...] = ()) -> ChosenMapping:
+    """The mapping of a log whose format is known; its text is that of any log of this kind."""
+    return ChosenMapping(known.mapping, known.text, known.text, known.sentence, known, guesses)
 
 
 def propose_by_axes(files: Sequence[Path]) -> list[tuple[Sequence[Path], Proposal]]:
@@ -194,7 +225,7 @@ def check_logs(
             continue
         run, how = one
         outputs = how.known.outputs if how.known else ()
-        missing = how.known.missing if how.known else _unmapped_orders(run)
+        missing = tuple(how.known.missing.values()) if how.known else _unmapped_orders(run)
         named = _format_of(path, how, run)
         sources = _sources(how)
         checks.append(check_run(run, next(judged), named, sources, outputs, missing, how.guesses))
@@ -235,7 +266,9 @@ def _unmapped_orders(run: Trajectory) -> tuple[str, ...]:
 def _format_of(path: Path, how: ChosenMapping, run: Trajectory) -> tuple[str, str, str]:
     """The name of a log's format, the same for people, and the craft."""
     if how.known is not None:
-        return how.known.log, how.known.title, how.known.craft
+        guessed = not how.known.outputs and (run.commanded or run.executed)
+        craft = craft_of([*run.commanded, *run.executed]) if guessed else how.known.craft
+        return how.known.log, how.known.title, craft
     form = logs.format_of(path)
     name = form.name if form else path.suffix.lower().removeprefix(".") or "table"
     title = "a table with native columns" if how.mapping is None else "a table through a mapping"

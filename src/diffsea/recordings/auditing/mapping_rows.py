@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import textwrap
 from collections.abc import Iterable
 from typing import Any
 
@@ -16,7 +17,8 @@ def mapping_text(mapping: Mapping, notes: Iterable[str] = ()) -> str:
 
     Text, numbers and lists of them are written alike in TOML and JSON.
     """
-    lines = [f"# {line}" for note in notes for line in note.splitlines()]
+    wrap = lambda line: textwrap.wrap(line, 92, initial_indent="# ", subsequent_indent="# ")
+    lines = [part for note in notes for line in note.splitlines() for part in wrap(line)]
     lines += ["format = 1", "", "[file]"]
     usual = Mapping(mapping.channels, mapping.name, constants=mapping.constants)
     for name, value in _unusual_fields(mapping, usual):

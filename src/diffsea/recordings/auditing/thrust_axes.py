@@ -5,8 +5,8 @@ whatever it is. Thrust does not: it accelerates the vessel along axes that are f
 Every reading of the heading, by quarter turns and mirrored, is a hypothesis; what tells is how much
 of the changes of earth-fixed velocity thrust then explains, beside damping and a steady force.
 
-Thrusters that turn tell it. Fixed ones push along one line, and what a turning vessel does without
-thrust is too easily taken for their work under another heading.
+Thrusters that turn tell it. Fixed ones, and those that are hardly turned, push along one line, and
+what a turning vessel does without thrust is too easily taken for their work under another heading.
 """
 
 import dataclasses
@@ -22,6 +22,7 @@ from diffsea.trajectory import Samples
 
 
 _EXPLAINED = 0.1  # share of the changes' variance that thrust must explain, beside all else
+_TURNED = 0.1  # share of the thrust's mean square that must be across the line it mostly acts along
 _CLEAR = float(np.log(1e5))  # log likelihood ratio of two readings of the heading
 _SPANS = 6  # lengths of time over which changes of velocity are taken
 _LONGEST_SPAN = 0.1  # of the run
@@ -60,7 +61,7 @@ def thrust_axes_findings(motion: MeasuredMotion, series: Mapping[str, Samples]) 
         series: actuation by channel; `<name>.force` goes with `<name>.angle` (rad).
     """
     thrust = _azimuth_thrust(series)
-    if thrust is None or not motion.has("psi", "u", "v"):
+    if thrust is None or not motion.has("psi", "u", "v") or _share_across(thrust) < _TURNED:
         return []
     fits = {reading: _fit_thrust(motion, thrust, reading) for reading in READINGS}
     best = max(fits, key=lambda reading: fits[reading].log_likelihood)
@@ -85,6 +86,13 @@ def _azimuth_thrust(series: Mapping[str, Samples]) -> Thrust | None:
         if f"{name}.angle" in series
     ]
     return np.sum(pushing, axis=0) if pushing else None
+
+
+def _share_across(thrust: Thrust) -> float:
+    """Share of the thrust's mean square that is across its main line."""
+    known = thrust[np.isfinite(thrust)]
+    total, doubled = np.sum(np.abs(known) ** 2), np.abs(np.sum(known**2))
+    return float(0.5 * (1 - doubled / total)) if total > 0 else 0.0
 
 
 @dataclasses.dataclass(frozen=True)

@@ -37,8 +37,10 @@ class Recognised:
         mapping: the parts of the layout that the log can fill.
         outputs: what the orders of an autopilot are, where its parameters tell.
         craft: what kind of vessel it is, as far as the log tells.
-        missing: what the log lacks, each with the setting that records it.
+        missing: what the log lacks, by its group of channels, with the setting that records it.
         others: topics that would have done as well, by the channel that they would be.
+        guessed: what more was found by names and motion, a sentence for each channel: who reads
+            the log without this mapping does not know of it.
     """
 
     log: str
@@ -46,15 +48,18 @@ class Recognised:
     mapping: Mapping
     outputs: tuple[Output, ...]
     craft: str
-    missing: tuple[str, ...]
+    missing: dict[str, str]
     others: tuple[str, ...]
+    guessed: tuple[str, ...] = ()
 
     @property
     def text(self) -> str:
         """The mapping as a file to edit, with what is missing as comments."""
         notes = [f"Chosen for {self.title} by what the log contains."]
         notes += [f"{output.channel}: output {output.number}" for output in self.outputs]
-        return mapping_text(self.mapping, [*notes, *self.others, *self.missing])
+        return mapping_text(
+            self.mapping, [*notes, *self.others, *self.guessed, *self.missing.values()]
+        )
 
     @property
     def sentence(self) -> str:
@@ -103,7 +108,7 @@ def recognise(path: str | Path) -> Recognised | None:
     if not any(name in channels for name in (*MOTION_CHANNELS, "latitude")):
         if form.name == "ros-bag":  # it may have anything: the message on mappings lists it
             return None
-        lacking = "\n  ".join(missing)
+        lacking = "\n  ".join(missing.values())
         raise UserError(
             f"{path} was read as {layout['title']}, and no motion is in it:\n  {lacking}"
         )
@@ -116,7 +121,7 @@ def recognise(path: str | Path) -> Recognised | None:
         dataclasses.replace(mapping, name=f"the known mapping of {layout['title']}"),
         tuple(outputs),
         _craft(channels, parameters),
-        tuple(missing),
+        missing,
         tuple(others),
     )
 
@@ -144,7 +149,7 @@ def _exported(log: str, found: Contents, path: Path) -> Recognised:
     mapping = mapping_from({"file": {"clock": clock}, "columns": channels}, path)
     title = "an export of diffsea"
     mapping = dataclasses.replace(mapping, name=f"the channels of {title}")
-    return Recognised(log, title, mapping, (), _craft(channels, {}), (), ())
+    return Recognised(log, title, mapping, (), _craft(channels, {}), {}, ())
 
 
 def _own_channel(topic: str) -> str:
@@ -230,8 +235,8 @@ def _outputs(
     return outputs, columns
 
 
-def _missing(layout: dict[str, Any], channels: dict[str, Any], found: Contents) -> list[str]:
-    """What is not in the log, in the words of its layout."""
+def _missing(layout: dict[str, Any], channels: dict[str, Any], found: Contents) -> dict[str, str]:
+    """What is not in the log, in the words of its layout, by the group of channels."""
     turned = channels | {"psi": ""}  # a velocity that only lacks its heading is recorded
     outputs = layout.get("outputs")
     there = {
@@ -241,12 +246,12 @@ def _missing(layout: dict[str, Any], channels: dict[str, Any], found: Contents) 
         "yaw_rate": "r" in channels,
         "orders": any(name.startswith("cmd_") for name in channels),
     }
-    lacking = [group for group in _NEEDED if not there[group]]
+    lacking = {group: layout["missing"][group] for group in _NEEDED if not there[group]}
     if outputs is not None and "orders" in lacking:
         pattern = outputs.partition(":")[0]
         if _topics(pattern, [], found):  # the orders are there, and nothing says whose they are
-            lacking[lacking.index("orders")] = "functions"
-    return [layout["missing"][group] for group in lacking]
+            lacking["orders"] = layout["missing"]["functions"]
+    return lacking
 
 
 def _craft(channels: dict[str, Any], parameters: dict[str, float]) -> str:

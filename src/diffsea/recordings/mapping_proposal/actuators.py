@@ -7,6 +7,7 @@ would be found to push the wrong way is confirmed as it stands.
 
 import dataclasses
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Float
@@ -21,10 +22,11 @@ from diffsea.recordings.auditing.responses import (
     response_to,
     with_yaw_rate,
 )
-from diffsea.recordings.mapping_proposal.azimuths import azimuth_columns
-from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion
+from diffsea.recordings.mapping_proposal.azimuths import AzimuthColumns, azimuth_columns
+from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion, suggest_labels
 from diffsea.recordings.mappings import UNITS
 from diffsea.recordings.motion import MeasuredMotion, motion_of
+from diffsea.series import hold_last
 from diffsea.trajectory import Series, Trajectory
 
 
@@ -84,6 +86,18 @@ class ActuatorColumn:
         return self.role in ("rudder", "port", "starboard")
 
 
+def called_like_actuators(names: Iterable[str]) -> list[str]:
+    """The columns of those names that drive the vessel, by what they are called."""
+    suggestions = {name: suggest_labels(name) for name in names}
+    turning = azimuth_columns(list(suggestions), suggestions)
+    azimuths = {column for one in turning for column in (one.power, one.angle)}
+    return [
+        name
+        for name, told in suggestions.items()
+        if name in azimuths or max(told.weights[role] for role in ROLES) > NAMED
+    ]
+
+
 def find_actuators(
     runs: list[Trajectory], suggestions: dict[str, Suggestion], unnamed: list[str]
 ) -> list[ActuatorColumn]:
@@ -126,26 +140,45 @@ def find_actuators(
 
 
 def _azimuths(runs: list[Trajectory], suggestions: dict[str, Suggestion]) -> list[ActuatorColumn]:
-    """Azimuth thrusters: power and angle of each, whose signs no single answer tells."""
-    found = []
-    for one in azimuth_columns(list(runs[0].commanded), suggestions):
+    """Azimuth thrusters: power and angle of each, and which way its positive angles push."""
+    found, columns = [], azimuth_columns(list(runs[0].commanded), suggestions)
+    alone = len({one.name for one in columns}) == 1
+    for one in columns:
         others = {"force": one.angle, "angle": one.power}
         for part, column in (("force", one.power), ("angle", one.angle)):
             suggestion, reason = suggestions[column], f"named like {others[part]!r}"
             values = np.concatenate([_finite(run, column) for run in runs])
-            unit = suggestion.unit if suggestion.unit in _FORCES else ""
+            unit, push = suggestion.unit if suggestion.unit in _FORCES else "", 0
             if part == "angle":
                 degrees = float(np.max(np.abs(values), initial=0.0)) > _WHOLE_TURN
                 unit = "deg" if suggestion.unit == "deg" or degrees else "rad"
-                reason += "; clockwise from ahead is taken for positive: look which way it pushes"
+                place = one.place or ("aft" if alone else "")
+                if place:
+                    push = _azimuth_push(runs[:_MOST_TRIED], one, place, unit)
+                    reason += f"; taken to be {place} of amidships"
             else:
                 reason += "; taken as it stands: the vessel file states the unit"
                 reason += f', "{suggestion.unit}"' if suggestion.unit in ("rpm", "rev/s") else ""
             ordered, why, sure = _is_order(column, suggestion, runs)
             role = f"{one.name}.{part}"
             reason = f"an azimuth thruster, {reason}; {why}"
-            found.append(ActuatorColumn(column, role, sure * _PAIRED, unit, ordered, reason, 0))
+            sure *= _PAIRED
+            found.append(ActuatorColumn(column, role, sure, unit, ordered, reason, push))
     return found
+
+
+def _azimuth_push(runs: list[Trajectory], one: AzimuthColumns, place: str, unit: str) -> int:
+    """1 where positive angles are seen to push to starboard, -1 to port, 0 where nothing tells.
+
+    By the yaw rate's answer to the athwart part of the thrust: a push to starboard turns the bow to
+    starboard where it acts `fore` of amidships, and to port `aft`.
+    """
+    verdicts = []
+    for run in runs:
+        power, angle = (hold_last(run.commanded[c]) for c in (one.power, one.angle))
+        athwart = power * np.sin(np.radians(angle) if unit == "deg" else angle)
+        verdicts.append(_push_of(run, "rudder", athwart))
+    return _vote(verdicts) * (1 if place == "fore" else -1)
 
 
 def _most_answered(runs: list[Trajectory], columns: list[str]) -> tuple[str, float]:

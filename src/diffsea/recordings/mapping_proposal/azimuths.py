@@ -14,6 +14,12 @@ _ANGLES = {"angle", "azimuth", "azi", "alpha", "winkel"}
 _POWERS = {"rpm", "rps", "revs", "n", "drehzahl", "force", "thrust", "throttle", "power", "pwm"}
 _UNITS = {"deg", "degree", "degrees", "rad", "us", "percent", "pct", "newton", "kn"}
 _ORDERS = {"order", "ordered", "orders", "cmd", "command", "commanded", "setpoint", "sp", "ref"}
+_FIELDS = {"data", "value"}  # of a topic that has but one
+_SIDES = {"port", "starboard", "stbd", "left", "right"}
+_FORE, _AFT = (
+    {"bow", "fore", "forward", "front"},
+    {"stern", "aft", "rear", "outboard", *_SIDES},
+)
 _REALISED = {"actual", "feedback", "fb", "measured", "meas", "act", "state"}
 # What has an angle and revolutions, or a force, but does not turn its thrust all round.
 _OTHERS = {
@@ -35,12 +41,19 @@ class AzimuthColumns(NamedTuple):
     power: str
     angle: str
 
+    @property
+    def place(self) -> str:
+        """`fore` or `aft` of amidships, where the name says so, or else empty."""
+        told = set(_words(self.name))
+        return "fore" if told & _FORE else "aft" if told & _AFT else ""
+
 
 def azimuth_columns(
     names: Sequence[str], suggestions: Mapping[str, Suggestion]
 ) -> list[AzimuthColumns]:
     """Azimuth thrusters among columns, those that are named alike but for angle and power."""
     powers: dict[tuple[str, ...], str] = {}
+    orders: dict[tuple[str, ...], str] = {}  # of what, their names do not say
     angles: dict[tuple[str, ...], str] = {}
     for name in names:
         if suggestions[name].best in ("psi", "phi", "wind_direction", "wind_speed"):
@@ -50,12 +63,15 @@ def azimuth_columns(
         of = angles if told & _ANGLES else powers if told & _POWERS else None
         if of is angles and told & _OTHERS and "azimuth" not in told:
             continue
+        if of is None and told & _ORDERS:
+            of, words = orders, [word for word in words if word not in _ORDERS]
         if of is not None:
             of.setdefault(_in_common(words), name)
+    driven = orders | powers
     return [
-        AzimuthColumns(re.sub(r"_(\d)", r"\1", "_".join(words[1:])), powers[words], angle)
+        AzimuthColumns(re.sub(r"_(\d)", r"\1", "_".join(words[1:])), driven[words], angle)
         for words, angle in angles.items()
-        if words in powers
+        if words in driven
     ]
 
 
@@ -63,7 +79,8 @@ def _in_common(words: Sequence[str]) -> tuple[str, ...]:
     """What a power and an angle of one thruster share: first whether both are orders."""
     told = set(words)
     kind = "order" if told & _ORDERS else "realised" if told & _REALISED else ""
-    rest = [word for word in words if word not in _ANGLES | _POWERS | _UNITS | _ORDERS | _REALISED]
+    named = _ANGLES | _POWERS | _UNITS | _ORDERS | _REALISED | _FIELDS
+    rest = [word for word in words if word not in named]
     return kind, *([] if rest and rest[0].isalpha() else ["azimuth"]), *rest
 
 

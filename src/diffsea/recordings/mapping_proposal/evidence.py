@@ -35,6 +35,7 @@ from diffsea.recordings.mapping_proposal.combined import (
     with_headings,
     with_velocities,
 )
+from diffsea.recordings.mapping_proposal.guesses import ChannelGuess
 from diffsea.recordings.mapping_proposal.hypotheses import (
     STATED_UNIT,
     ColumnHypothesis,
@@ -76,16 +77,6 @@ _OVER_GROUND = (
     "drifts, turns or meets a current"
 )
 _LARGEST_RADIANS = {"phi": 1.0, "wind_direction": 2 * math.pi + 0.05}  # beyond, it is degrees
-
-
-@dataclasses.dataclass(frozen=True)
-class ChannelGuess:
-    """One proposed channel: how it is read, how probable that is (0 to 1), and why."""
-
-    channel: str
-    column: Column
-    sure: float
-    why: str
 
 
 @dataclasses.dataclass(frozen=True)

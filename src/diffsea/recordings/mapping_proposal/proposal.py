@@ -15,13 +15,10 @@ from pathlib import Path
 
 from diffsea.errors import UserError
 from diffsea.recordings import logs
-from diffsea.recordings.mapping_proposal.actuators import ROLES, SIDES
+from diffsea.recordings.mapping_proposal.actuators import ROLES
 from diffsea.recordings.mapping_proposal.columns import NO_CLOCK
-from diffsea.recordings.mapping_proposal.evidence import (
-    ChannelGuess,
-    ProposalEvidence,
-    gather_evidence,
-)
+from diffsea.recordings.mapping_proposal.evidence import ProposalEvidence, gather_evidence
+from diffsea.recordings.mapping_proposal.guesses import ChannelGuess, actuator_guesses, level
 from diffsea.recordings.mapping_proposal.hypotheses import NED, QUANTITIES
 from diffsea.recordings.mapping_proposal.names import LABELS, NAMED
 from diffsea.recordings.mapping_proposal.table_layout import sniff_layout
@@ -30,35 +27,10 @@ from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import MOTION_CHANNELS
 
 
-SURE, LIKELY = 0.95, 0.7  # probabilities from which on a guess is called so
 WRITTEN = 0.1  # probability below which a guess is no row of the mapping, but a comment
 _TOGETHER = {"x": "y", "y": "x", "latitude": "longitude", "longitude": "latitude"}
-_SUREST_WITHOUT_ANSWER = 0.9  # of an actuator to which no motion was seen to answer
 _MENTIONED_MIRROR = 0.02  # probability of a mirrored record from which on it is mentioned
 _MENTIONED_LABEL = 0.2  # weight from which on an unused column is said to be one perhaps
-_UNITS_WITHOUT_MENTION = ("", "rad", "rev/s", "N", "rps", "Hz")  # of actuators, in SI
-# What is said of the sign of an actuator, by which way it pushes.
-_SIDE_PUSHES = {
-    1: "more on the port side turns the vessel to starboard, as it should",
-    -1: "more on the side named port turns the vessel to port: sides exchanged",
-    0: "which side it is on cannot be seen in this run",
-}
-_SPEEDS_UP = {
-    1: "positive values speed the vessel up",
-    -1: "positive values slow the vessel down",
-    0: "its sign cannot be seen in this run",
-}
-_PUSHES = {
-    "propeller": _SPEEDS_UP,
-    "motor": _SPEEDS_UP,
-    "rudder": {
-        1: "positive values turn the vessel to starboard",
-        -1: "positive values turn the vessel to port, hence the sign",
-        0: "which way it turns the vessel cannot be seen in this run",
-    },
-    "port": _SIDE_PUSHES,
-    "starboard": _SIDE_PUSHES,
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +71,7 @@ def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
     """
     files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     evidence = gather_evidence(files)
-    guesses = [*evidence.guesses, *_actuator_guesses(evidence)]
+    guesses = [*evidence.guesses, *actuator_guesses(evidence.actuators, evidence.mirror)]
     guesses, doubted = _without_the_doubtful(evidence, guesses)
     written = {guess.channel for guess in guesses}
     if "t" not in written and evidence.clock.column is not None:
@@ -113,15 +85,11 @@ def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
         checks.append(f"[file] time_step: the file has no time column; the step is {known}")
     for guess in guesses:
         name, sure = ", ".join(guess.column.names), guess.sure
-        summary.append(f"  {guess.channel:15s} {_level(sure):6s} {sure:5.2f}  {name}")
-        if _level(sure) != "sure":
+        summary.append(f"  {guess.channel:15s} {level(sure):6s} {sure:5.2f}  {name}")
+        if level(sure) != "sure":
             checks.append(f"{guess.channel} ({name}): {guess.why}")
-        if _level(sure) == "guess":
-            why = guess.why
-            if guess.channel.startswith("exec_"):
-                order = guess.channel.replace("exec_", "cmd_", 1)
-                why += f"; an order is {order} in the mapping: only an order is answered late"
-            doubtful.append(f"{guess.channel} is {name!r} ({100 * sure:.0f} %): {why}")
+        if level(sure) == "guess":
+            doubtful.append(guess.sentence)
     for guess in doubted:
         summary.append(f"  {guess.channel:15s} none   {guess.sure:5.2f}  {guess.column.column}")
         checks.append(_why_not_written(evidence, guess, guesses))
@@ -175,42 +143,6 @@ def _foreign_names(path: Path) -> tuple[str, ...] | None:
     native = plain and (complete or all(is_channel(name) for name in names))
     native = native and not logs.is_log(path)
     return None if native else names
-
-
-def _level(sure: float) -> str:
-    return "sure" if sure >= SURE else "likely" if sure >= LIKELY else "guess"
-
-
-def _actuator_guesses(evidence: ProposalEvidence) -> list[ChannelGuess]:
-    """The actuators as channels; thrusters whose sides are exchanged change their labels.
-
-    What turns the vessel is as sure as that the record is not mirrored, and what nothing was
-    seen to answer is never called sure.
-    """
-    found = []
-    for actuator in evidence.actuators:
-        name, sign, sure = actuator.role, 1.0, actuator.sure
-        if actuator.push == 0:
-            sure = min(sure, _SUREST_WITHOUT_ANSWER)
-        elif actuator.turns:
-            sure = sure * (1 - evidence.mirror)
-        if actuator.push < 0 and name in SIDES:
-            name = SIDES[name == "port"]
-        elif actuator.push < 0:
-            sign = -1.0
-        unit = None if actuator.unit in _UNITS_WITHOUT_MENTION else actuator.unit
-        channel = ("cmd_" if actuator.ordered else "exec_") + name
-        push = _PUSHES.get(actuator.role, {}).get(actuator.push, "")
-        why = "; ".join(part for part in (actuator.reason, push) if part)
-        found.append(
-            ChannelGuess(
-                channel,
-                Column(actuator.column, unit, sign, actuator.scale, actuator.offset),
-                sure,
-                why,
-            )
-        )
-    return found
 
 
 def _without_the_doubtful(
@@ -295,7 +227,7 @@ def _mapping_text(
         "[columns]",
     ]
     for guess in guesses:
-        lines += _comment(f"{_level(guess.sure)} ({guess.sure:.2f}): {guess.why}.")
+        lines += _comment(f"{level(guess.sure)} ({guess.sure:.2f}): {guess.why}.")
         lines.append(f"{_key(guess.channel)} = {_column_value(guess.column)}")
     for guess in doubted:
         better = _better_named(evidence, guess, guesses)
