@@ -63,10 +63,10 @@ def native_with_guessed_actuators(
         native = [name for name in names if is_channel(name)]
         if any(name.startswith(("cmd_", "exec_")) for name in native):
             continue
-        mapping = Mapping(
-            {name: Column(name) for name in native}, "native columns and guessed ones"
-        )
-        guesses = _guesses(group, mapping, called_like_actuators({*names} - {*native}))
+        channels = {name: Column(name) for name in native}
+        mapping = Mapping(channels, "native columns and guessed ones")
+        foreign = [name for name in names if name not in channels]
+        guesses = _guesses(group, mapping, called_like_actuators(foreign))
         if guesses:
             mapping = _mapping_with(mapping, guesses)
             found |= dict.fromkeys(group, (mapping, _sentences(guesses), _doubtful(guesses)))
