@@ -8,6 +8,7 @@ from tests.diagnosis.small import CLEAR_GAIN, STEADY, UNSTEADY, candidate, hypot
 
 from diffsea import EFFECTS
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP
+from diffsea.diagnosis.constancy import Constancy
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.localisation import Bin, Cell
 from diffsea.diagnosis.record import _reason
@@ -265,6 +266,8 @@ def test_rivals_are_other_names_that_were_judged_and_come_near():
         (STEADY, Gain(1.0, 9.0), True),  # beside others held-out data may leave it open
         (STEADY, Gain(-40.0, 9.0), False),
         (UNSTEADY, CLEAR_GAIN, False),
+        (Constancy(60.0, 1e-9, 0.3), CLEAR_GAIN, True),  # of nearly one size, as motion said once
+        (Constancy(60.0, 1e-9, 0.3), Gain(-40.0, 9.0), False),
         (None, CLEAR_GAIN, False),
         (STEADY, None, False),
     ],

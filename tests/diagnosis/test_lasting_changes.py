@@ -18,7 +18,8 @@ SECONDS, STEP = 60.0, 0.2
 WEAKER = {"factor": -0.4, "actuators": ["starboard"]}
 
 
-@pytest.mark.parametrize("dated", [False, pytest.param(True, marks=pytest.mark.proof)])
+@pytest.mark.proof
+@pytest.mark.parametrize("dated", [False, True])
 def test_weed_in_one_propeller_is_found_from_when_it_was_there(dated):
     """The second of three runs, which all begin at zero, loses thrust on one side half way.
 

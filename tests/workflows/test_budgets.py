@@ -117,6 +117,7 @@ def test_a_fit_that_is_interrupted_goes_on_from_its_fits(data, tmp_path, capsys,
         assert (out / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
 
 
+@pytest.mark.proof
 def test_minutes_name_what_they_leave_out(data, tmp_path):
     status, record, _ = done("diagnose", data, tmp_path, "--minutes", "1e-6")
     assert status == 0 and record["complete"] is False and record["left_out"]

@@ -168,11 +168,15 @@ class Hypothesis:
     def still_stands(self, needed: float) -> bool:
         """Whether an effect that held-out data spoke for once is still needed beside others.
 
-        Then they may leave it open; against it speaks a lack of evidence, or their loss.
+        Then they may leave it open; against it speaks a lack of evidence, or their loss. Nor need
+        it predict the motion better a second time, where its size is nearly one: what it shares
+        with the others it does not show beside them.
         """
-        if self.gain is None or not (self.is_judged and self.is_there and self.has_one_size):
+        if self.gain is None or self.constancy is None:
             return False
-        if not self.predicts_motion:
+        if not (self.is_judged and self.is_there and self.predicts_motion):
+            return False
+        if not (self.constancy.holds or self.has_nearly_one_size):
             return False
         return self.evidence(self.inflation) > needed and (self.gain.open or self.gain.clear)
 

@@ -181,7 +181,8 @@ def find_pair(
         (again,) = refit_fully(data, bare, [asked])
         left = null.of_located(screen(data.train, other.estimate).located_p_value)
         gained = alone.hypotheses[0].estimate.deviance - other.estimate.deviance
-        if gained > -EVIDENCE and again.still_stands(alone.needed) and left > ALPHA:
+        stands = again.has_one_size and again.still_stands(alone.needed)
+        if gained > -EVIDENCE and stands and left > ALPHA:
             return AcceptedEffect(one, alone), AcceptedEffect(other, beside)
     return ()
 
