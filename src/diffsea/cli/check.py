@@ -4,6 +4,7 @@ import argparse
 import math
 import pathlib
 import shlex
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from diffsea.cli import options
@@ -86,10 +87,11 @@ def check_command(args: argparse.Namespace) -> None:
         ]
         commands = following_commands(args, checked, mappings)
         out.text("check.html", check_report(checks, told, source, together, commands))
-    texts = [_check_text(one) for one in checks]
-    if together is not None:
-        texts.append(_together_text(together))
-    out.present(args, "\n\n".join(filter(None, texts)), commands)
+    texts = [_check_lines(one) for one in checks]
+    if len(checked) > 1:
+        names = [one.name for _, one in checked]
+        texts = _said_once(texts, _together_lines(names, together))
+    out.present(args, "\n\n".join("\n".join(lines) for lines in texts if lines), commands)
 
 
 def _write_mappings(
@@ -137,14 +139,23 @@ def _record(one: "LogCheck | Finding") -> dict[str, object]:
     return known | {"audit": [one.as_dict()]} | empty
 
 
-def _check_text(one: "LogCheck | Finding") -> str:
-    """A check for a person at a terminal."""
+def _said_once(logs: list[list[str]], together: list[str]) -> list[list[str]]:
+    """Lines of each log and of all together; what every log read says is said of all, once."""
+    read = [lines for lines in logs if len(lines) > 1]
+    shared = [line for line in read[0][1:] if all(line in other for other in read)]
+    of_all = [*together, *(line for line in shared if line not in together)]
+    own = [[line for line in lines if line not in shared] for lines in logs]
+    return [*own, of_all if len(of_all) > 1 else []]
+
+
+def _check_lines(one: "LogCheck | Finding") -> list[str]:
+    """A check for a person at a terminal; its first line is the log's name and what it is."""
     from diffsea.recordings import Finding
     from diffsea.report.pages.check import guess_sentence, headlines, trial_order
     from diffsea.report.wording.findings import heaviest_first
 
     if isinstance(one, Finding):
-        return f"{one.recording}: not read: {one.message}"
+        return [f"{one.recording}: not read: {one.message}"]
     duration = one.run.t[-1] - one.run.t[0]
     used = sum(end - start for start, end in one.used)
     lines = [
@@ -167,15 +178,17 @@ def _check_text(one: "LogCheck | Finding") -> str:
     heads = ("trial", "onset s", "end s", "side", "order", "approach m/s")
     lines += [table(rows, heads)] if rows else []
     lines += _open_lines(one)
-    return "\n".join([*lines, *(f"note: {note}" for note in one.notes)])
+    return [*lines, *(f"note: {note}" for note in one.notes)]
 
 
-def _together_text(pooled: "PooledCheck") -> str:
-    """What several logs show together, for a person at a terminal."""
+def _together_lines(names: Sequence[str], pooled: "PooledCheck | None") -> list[str]:
+    """What several logs show together, if anything, under a line with their names."""
     from diffsea.report.pages.check import headlines
 
+    if pooled is None:
+        return [f"{', '.join(names)}, each of them:"]
     told = headlines(pooled.answers, pooled.commanded, pooled.reversed_turning)
-    return "\n".join([f"{', '.join(pooled.names)} together:", *told, *_open_lines(pooled)])
+    return [f"{', '.join(names)} together:", *told, *_open_lines(pooled)]
 
 
 def _open_lines(one: "LogCheck | PooledCheck") -> list[str]:
