@@ -103,6 +103,23 @@ def test_of_two_that_are_supported_nearly_as_well_the_motion_tells():
     assert AcceptedEffect(near, listed(best, near)).rivals == ("clock-drift",)
 
 
+def test_what_fails_bars_only_what_does_much_the_same():
+    """Of two effects that are both there, each spoils what runs held out say of the other."""
+    strongest = judged("feedback-error:steering-offset", 280.0, gain=Gain(-5.0, 60.0))
+    alike = judged("sensor-latency:heading", 180.0)
+    assert decide(listed(strongest, alike)) is None
+    columns = np.array([[1.0], [-1.0], [0.0]])  # those of the strongest are all one
+    unlike = dataclasses.replace(
+        alike, candidate=dataclasses.replace(alike.candidate, columns=columns)
+    )
+    tried = listed(strongest, unlike)
+    assert decide(tried) is unlike
+    accepted = AcceptedEffect(unlike, tried)
+    assert accepted.rivals == () and accepted.lead == pytest.approx(unlike.support(1.0))
+    near = judged("feedback-error:steering-offset", unlike.support(1.0), gain=Gain(0.0, 60.0))
+    assert AcceptedEffect(unlike, listed(near, unlike)).rivals == ("feedback-error",)
+
+
 def test_the_motion_does_not_make_a_wind_of_a_property_of_the_hull():
     hull, wind = judged("roll-coupling", 60.0), judged("wind", 58.0)
     better = MotionChange({60.0: 0.5}, {60.0: ChanceOfLoss(0.0, 0.0)})

@@ -126,16 +126,22 @@ def decide(
     """The best hypothesis for which evidence and held-out data both speak.
 
     It is the one that all data support most, or one that they support nearly as well, the plainer
-    one before the other. Where held-out data leave one undecided, they and the training data change
+    one before the other. One that fails bars what is supported less and does much the same: of two
+    effects that are both there, each spoils what runs held out say of the other. Where held-out data leave one undecided, they and the training data change
     places: `exchange` judges it there, too; None where they cannot. Of several that stand, the
     motion tells: `compare` says how free predictions change from one to the other.
     """
-    inflation = short_list.inflation
+    inflation, failed = short_list.inflation, list[Hypothesis]()
+
+    def is_barred(one: Hypothesis) -> bool:
+        return any(
+            other.support(inflation) - one.support(inflation) > EVIDENCE
+            and one.share_mimicked_by(other) >= CONFUSABLE
+            for other in failed
+        )
+
     for one in short_list.plainest_first:
-        behind = short_list.judged[0].support(inflation) - one.support(inflation)
-        if behind > EVIDENCE:
-            return None
-        if one.evidence(inflation) <= short_list.needed:
+        if one.evidence(inflation) <= short_list.needed or is_barred(one):
             continue
         if one.is_undecided and exchange is not None:
             # Not part of its support: the training data speak in the evidence already, and the
@@ -143,6 +149,7 @@ def decide(
             one = exchange(one)
         if one.stands:
             return one if compare is None else _best_of_motion(one, short_list, compare)
+        failed.append(one)
     return None
 
 
@@ -183,7 +190,7 @@ class AcceptedEffect:
         """Catalogue names that the same data support nearly as well, the best first."""
         best, names = self.hypothesis, dict[str, None]()
         for other in self.short_list.judged:
-            is_near = best.support(best.inflation) - other.support(best.inflation) < EVIDENCE
+            is_near = abs(best.support(best.inflation) - other.support(best.inflation)) < EVIDENCE
             if is_near and not other.is_akin_to(best):
                 names[catalogue_name(other.effect)] = None
         return tuple(names)
@@ -192,9 +199,11 @@ class AcceptedEffect:
     def lead(self) -> float:
         """Twice the log of its odds against the next best name, or none; all data together."""
         best = self.hypothesis
+        own = best.support(best.inflation)
         others = [
             one.support(best.inflation)
             for one in self.short_list.hypotheses
             if one.is_physical and not one.is_akin_to(best)
         ]
-        return best.support(best.inflation) - max([0.0, *others])
+        # What is far ahead and was not accepted does something else.
+        return own - max([0.0, *(other for other in others if other < own + EVIDENCE)])
