@@ -61,6 +61,18 @@ def test_the_vessel_that_is_proposed_takes_the_orders_of_the_log(orders, unit, s
     assert {units[name] for name in orders} - {"rad", "rev/s"} <= {wanted}
 
 
+def test_orders_that_are_called_per_cent_are_ordered_in_it():
+    for source, unit in (
+        ("thr_pct", "percent"),
+        ("/left [%]", "percent"),
+        ("throttle_percent", "percent"),
+        ("thr_left", "UNIT"),
+    ):
+        twin = log(("port", "starboard"), "own", source)
+        new, _ = following_commands(NO_SPAN, [(pathlib.Path("a.csv"), twin)], {})
+        assert new.endswith(f"--thrusters M --unit {unit}")
+
+
 def test_the_ship_that_is_proposed_takes_the_largest_order(tmp_path):
     new, _ = following_commands(
         NO_SPAN, [(pathlib.Path("a.csv"), log(("rudder", "propeller"), "own"))], {}

@@ -185,6 +185,12 @@ def _unit_option(one: "LogCheck") -> str:
         return ""
     if known == {"normalised"}:
         return " --unit normalised"
+    from diffsea.recordings.mapping_proposal import suggest_labels
+
+    orders = [column for name, column in one.channels.items() if name.startswith("cmd_")]
+    said = {suggest_labels(column.source).unit for column in orders}
+    if said == {"%"}:
+        return " --unit percent"
     columns = [one.channels[name] for name in one.channels if name.startswith(("cmd_", "exec_"))]
     forces = [
         column.unit == "N" or "force" in re.split(r"[^a-z]+", column.source.lower())

@@ -127,9 +127,10 @@ def decide(
 
     It is the one that all data support most, or one that they support nearly as well, the plainer
     one before the other. One that fails bars what is supported less and does much the same: of two
-    effects that are both there, each spoils what runs held out say of the other. Where held-out data leave one undecided, they and the training data change
-    places: `exchange` judges it there, too; None where they cannot. Of several that stand, the
-    motion tells: `compare` says how free predictions change from one to the other.
+    effects that are both there, each spoils what runs held out say of the other. Where held-out
+    data leave one undecided, they and the training data change places: `exchange` judges it there,
+    too; None where they cannot. Of several that stand, the motion tells: `compare` says how free
+    predictions change from one to the other.
     """
     inflation, failed = short_list.inflation, list[Hypothesis]()
 

@@ -44,6 +44,7 @@ _SPOILERS, _ORDERS, _REALISED, _SPEEDS_OVER_GROUND, _COURSES_OVER_GROUND = (
 )
 
 _ORDERED_BY_PULSES = ("rudder", "propeller", "thrust")
+_ORDERED_BY_SHARES = ("propeller", "thrust")
 
 _SINE = re.compile(r"(?:(?<![A-Za-z])sin|Sin|(?<![A-Z])SIN)(?:(e|E)(?![a-zA-Z])|(?![a-z]))")
 
@@ -124,7 +125,8 @@ def suggest_labels(name: str, stated_unit: str = "") -> Suggestion:
         fitting = {"any", dimension, *(("degrees",) if unit == "deg" else ())}
         for label, kind in LABELS.items():
             is_pulse = unit == "us" and label in _ORDERED_BY_PULSES
-            if kind not in fitting and not is_pulse:
+            is_share = dimension == "ratio" and label in _ORDERED_BY_SHARES
+            if kind not in fitting and not is_pulse and not is_share:
                 weights[label] = _WRONG_DIMENSION * weights[label]
         total = sum(weights.values())
         weights = {label: weight / total for label, weight in weights.items()}
