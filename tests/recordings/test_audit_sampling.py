@@ -181,5 +181,6 @@ def test_feedback_that_is_offset_or_ahead_of_its_orders(seed):
     assert finding.channels == ("cmd_rudder", "exec_rudder")
     assert finding.parameters["offset"] == pytest.approx(0.03, abs=4 * finding.std + 0.001)
     assert "neutral point" in finding.doubt
+    assert finding.unit == "rad" and " deg) more than" in finding.message
     finding = only(servo(seed, early=0.8), "feedback-error")
     assert finding.parameters["delay"] == pytest.approx(-0.8, abs=0.25) and finding.unit == "s"

@@ -7,7 +7,7 @@ compared with each other, and it is asked whether they can be what they are call
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.channels import is_rudder
+from diffsea.channels import is_rudder, steers
 from diffsea.recordings.auditing.edits import ExecutedToCommanded
 from diffsea.recordings.auditing.finding import (
     Finding,
@@ -172,7 +172,9 @@ def _settled_offset(name: str, ordered: _Settled, executed: _Settled) -> list[Fi
     std = float(np.hypot(np.std(off, ddof=1), 1e-3 * np.ptp(executed)) / np.sqrt(off.size))
     if abs(size) < max(_CERTAIN * std, _NOTABLE_OFFSET * np.ptp(ordered)):
         return []
+    said = f"{size:.4g} rad ({np.degrees(size):.3g} deg)" if steers(name) else f"{size:.4g}"
     words = {"order": (order,), "answer": (answer,), "standing": _STANDING, "back": -size}
+    words |= {"size": said, "unit": "rad" if steers(name) else "1"}
     doubt = "an actuator whose neutral point is off looks the same"
     by, fault = {"offset": size}, "feedback-offset"
     return [finding_of(fault, channels, size, std, words, parameters=by, doubt=doubt)]
