@@ -64,6 +64,13 @@ def test_a_thruster_by_topics_of_any_name_is_found_with_the_sense_of_its_angle(b
     assert not any("no order" in one for one in checked.missing)
 
 
+def test_a_topic_that_never_says_a_number_is_no_actuator(bag):  # noqa: F811
+    run = launch(1)
+    how = chosen(bag(messages(run.assign(angle=np.nan))))
+    assert how.mapping is not None
+    assert [name for name in how.mapping.channels if name.startswith("cmd_")] == ["cmd_propeller"]
+
+
 def test_topics_that_are_called_like_nothing_stay_unknown(bag):  # noqa: F811
     how = chosen(bag(messages(launch(1), power="/things/one", angle="/things/two")))
     assert how.known is not None and not how.known.guessed and "orders" in how.known.missing

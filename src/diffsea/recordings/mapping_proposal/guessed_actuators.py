@@ -9,6 +9,8 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from diffsea.errors import UserError
 from diffsea.recordings import logs
 from diffsea.recordings.known import Recognised
@@ -18,6 +20,7 @@ from diffsea.recordings.mapping_proposal.names import suggest_labels
 from diffsea.recordings.mapping_proposal.table_layout import sniff_layout
 from diffsea.recordings.mappings import Column, Mapping, is_channel
 from diffsea.recordings.readers import read_recording
+from diffsea.trajectory import Trajectory
 
 
 _OF_ANY_TOPICS = ("ros-bag", "mcap-json")  # formats whose topics anybody names
@@ -90,16 +93,38 @@ def _guesses(
     paths: Sequence[Path], motion: Mapping, columns: Sequence[str]
 ) -> tuple[ChannelGuess, ...]:
     """What drives the vessel of recordings whose motion is read through a mapping."""
-    orders = {f"cmd_{name}": Column(name) for name in columns}
-    mapping = dataclasses.replace(motion, channels=motion.channels | orders)
-    runs = []
-    for path in paths[:_MOST_READ] if columns else ():
-        with contextlib.suppress(UserError):  # its own check will say what is wrong
-            runs.append(read_recording(path, mapping))
-    if not runs:
+    read = [_with_orders(path, motion, columns) for path in paths[:_MOST_READ] if columns]
+    runs = [run for run in read if run is not None]
+    kept = [name for name in columns if all(_is_told(run, name) for run in runs)]
+    if not runs or not kept:
         return ()
-    suggestions = {name: suggest_labels(name) for name in columns}
+    runs = [
+        dataclasses.replace(run, commanded={name: run.commanded[name] for name in kept})
+        for run in runs
+    ]
+    suggestions = {name: suggest_labels(name) for name in kept}
     return tuple(actuator_guesses(find_actuators(runs, suggestions, [])))
+
+
+def _with_orders(path: Path, motion: Mapping, columns: Sequence[str]) -> Trajectory | None:
+    """A recording with those columns as orders that can be read; None where its motion cannot."""
+
+    def read(*names: str) -> Trajectory | None:
+        orders = {f"cmd_{name}": Column(name) for name in names}
+        with contextlib.suppress(UserError):  # its own check will say what is wrong
+            mapping = dataclasses.replace(motion, channels=motion.channels | orders)
+            return read_recording(path, mapping)
+        return None
+
+    whole = read(*columns)
+    if whole is not None or len(columns) == 1:
+        return whole
+    return read(*(name for name in columns if read(name) is not None))
+
+
+def _is_told(run: Trajectory, order: str) -> bool:
+    """Whether a run has values of an order."""
+    return order in run.commanded and bool(np.isfinite(run.commanded[order]).any())
 
 
 def _with_channels(known: Recognised, guesses: Sequence[ChannelGuess]) -> Recognised:
