@@ -355,11 +355,15 @@ def test_names_that_make_the_motion_worse_together_are_withdrawn_from_the_last_o
 
 @pytest.fixture(scope="module")
 def alone(found):
-    """A short list whose best, the bias, has not one size in all the data, but the current has."""
+    """A short list whose best, the bias, has not one size in all the data, but the current has.
+
+    To first order the current does what the bias does, so that this bars it.
+    """
     best, second, *_ = found.short_list.judged
+    alike = dataclasses.replace(second.candidate, columns=best.candidate.columns)
     hypotheses = (
         dataclasses.replace(best, constancy=UNSTEADY),
-        dataclasses.replace(second, constancy=STEADY),
+        dataclasses.replace(second, constancy=STEADY, candidate=alike),
     )
     return dataclasses.replace(found.short_list, hypotheses=hypotheses)
 
@@ -369,6 +373,15 @@ def test_a_pair_is_named_where_both_leave_nothing(data, found, alone):
     pair = find_pair(data, alone, NO_BOOTSTRAP, no_progress)
     assert [one.name for one in pair] == ["current", "gyro-bias"]
     assert set(pair[1].hypothesis.estimate.free) == set(found.final.free)
+
+
+def test_what_the_strongest_does_not_mimic_needs_no_pair(found, alone):
+    best, barred = alone.hypotheses
+    own = found.short_list.judged[1].candidate
+    assert barred.effect == own.point.effect
+    unlike = dataclasses.replace(barred, candidate=own)
+    tried = dataclasses.replace(alone, hypotheses=(best, unlike))
+    assert decide(tried, None) is unlike
 
 
 def test_a_pair_that_leaves_something_is_not_named(data, alone):
