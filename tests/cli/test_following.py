@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from diffsea.cli import main
+from diffsea.cli.check import _said_once
 from diffsea.cli.following import commands_after_diagnosis, following_commands
 from diffsea.vessel.files import read_vessel
 
@@ -137,3 +138,17 @@ def test_what_may_have_changed_in_one_recording_is_asked_of_all_on_one_clock():
     assert "--one-after-another" in told({"recording": "all", "in_regime": True})
     assert told(there, verdict="consistent") == ""
     assert told(there, in_order=True) == "" and told(there, recordings=runs[:1]) == ""
+
+
+def test_what_holds_of_every_log_is_said_once_after_them():
+    """Not of those that could not be read; what all show together is not said again."""
+    logs = [
+        ["a.csv: twin", "10 s", "gap: x", "no wind"],
+        ["b.csv: twin", "20 s", "no wind", "gap: x"],
+    ]
+    broken = ["c.csv: not read: empty"]
+    own = [["a.csv: twin", "10 s"], ["b.csv: twin", "20 s"], broken]
+    together = ["a.csv, b.csv together:", "no wind"]
+    assert _said_once([*logs, broken], together) == [*own, [*together, "gap: x"]]
+    unlike = [["a.csv: twin", "10 s"], ["b.csv: ship", "20 s"]]
+    assert _said_once(unlike, ["a.csv, b.csv, each of them:"]) == [*unlike, []]
