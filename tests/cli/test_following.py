@@ -12,6 +12,7 @@ import pytest
 from diffsea.cli import main
 from diffsea.cli.check import _said_once
 from diffsea.cli.following import commands_after_diagnosis, following_commands
+from diffsea.recordings.mapping_proposal import suggest_labels
 from diffsea.vessel.files import read_vessel
 
 
@@ -72,6 +73,7 @@ def test_orders_that_are_called_per_cent_are_ordered_in_it():
         twin = log(("port", "starboard"), "own", source)
         new, _ = following_commands(NO_SPAN, [(pathlib.Path("a.csv"), twin)], {})
         assert new.endswith(f"--thrusters M --unit {unit}")
+    assert suggest_labels("throttle_percent").best == "propeller"  # by a share of its power
 
 
 def test_the_ship_that_is_proposed_takes_the_largest_order(tmp_path):

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from tests.recordings.test_logs import Messages, bag  # noqa: F401  a fixture
 
+from diffsea.cli import main
 from diffsea.recordings import read_mapping
 from diffsea.workflows.checks import ChosenMapping, check_logs, choose_mappings
 
@@ -71,6 +72,14 @@ def test_a_topic_that_never_says_a_number_is_no_actuator(bag):  # noqa: F811
     assert [name for name in how.mapping.channels if name.startswith("cmd_")] == ["cmd_propeller"]
 
 
+def test_the_command_that_follows_reads_what_was_guessed(bag, tmp_path, capsys):  # noqa: F811
+    path, out = bag(messages(launch(1))), tmp_path / "out"
+    assert main(["check", str(path), "-o", str(out)]) == 0
+    (line,) = (text for text in capsys.readouterr().out.splitlines() if "diffsea diagnose" in text)
+    assert line.endswith(f"--mapping {out / 'run.mapping.toml'}")
+    assert "cmd_outboard.angle" in read_mapping(out / "run.mapping.toml").channels
+
+
 def test_topics_that_are_called_like_nothing_stay_unknown(bag):  # noqa: F811
     how = chosen(bag(messages(launch(1), power="/things/one", angle="/things/two")))
     assert how.known is not None and not how.known.guessed and "orders" in how.known.missing
@@ -80,7 +89,8 @@ def test_a_table_with_native_motion_and_foreign_orders_is_mapped(tmp_path):
     run = launch(2)
     foreign = run.rename(columns={"power": "pod_order", "angle": "pod_angle"})
     foreign.to_csv(tmp_path / "foreign.csv", index=False)
-    foreign.rename(columns={"pod_order": "cmd_pod.force", "pod_angle": "cmd_pod.angle"}).to_csv(
+    native = {"pod_order": "cmd_pod.force", "pod_angle": "cmd_pod.angle"}
+    foreign.rename(columns=native).assign(thrust_left=run.power, thrust_right=run.power).to_csv(
         tmp_path / "native.csv", index=False
     )
     run.rename(columns={"power": "battery", "angle": "room"}).to_csv(

@@ -58,9 +58,7 @@ def with_usable_actuation(
         certain = [one for one in unit_findings(vessel, run) if not one.doubt]
         accused = {channel for one in certain for channel in one.channels}
         needless = tuple(
-            name
-            for name in run.executed
-            if f"exec_{name}" in accused and name in run.commanded and f"cmd_{name}" not in accused
+            name for name in run.executed if f"exec_{name}" in accused and name in run.commanded
         )
         if needless:
             left_out.setdefault(needless, []).append(run.name)
