@@ -105,7 +105,8 @@ END = "<!-- Written by docs/site/effects_page.py: change it there, or in the cat
 # What each effect is, in a sentence.
 WHAT = {
     "current": "The water flows steadily, the same everywhere.",
-    "wind": "A steady wind pushes the superstructure; the drag of still air is the hull's already.",
+    "wind": "A steady wind, or the one that was measured, pushes the superstructure; the drag of still air is "
+    "the hull's already.",
     "wave-force": "A force fixed in the earth swings about a mean: a swell, or a tow.",
     "shallow-water": "The bottom is near: added masses and damping grow.",
     "heading-offset": "The compass is turned by an angle, always or from some time on, or all that "
@@ -162,7 +163,8 @@ _COEFFICIENT = "without it an earlier table's, else"
 KEYS = {
     "current": {"speed": _FLOW_SPEED, "direction": "towards which it flows"},
     "wind": {
-        "speed": _FLOW_SPEED,
+        "speed": "how fast the air flows; without it, or zero, as the recording's `wind_speed` and "
+        "`wind_direction` say",
         "direction": "from which it blows",
         "C_X": f"coefficient of the force ahead; {_COEFFICIENT} 0.7",
         "C_Y": f"coefficient of the force to the side; {_COEFFICIENT} 0.85",
@@ -302,15 +304,19 @@ KEY_UNITS = {
     "turned_by": "names",
 }  # of keys that are no parameter
 
-CHANNEL_UNITS = {"phi": "rad", "u": "m/s"}  # of channels that recordings must have
+CHANNEL_UNITS = {
+    "phi": "rad",
+    "u": "m/s",
+    "wind_direction": "rad",
+}  # of channels that recordings must have
 
 # Which vessels are asked whether they have it, where not all are.
 _KIND = "those with such channels."
 VESSELS = {
     "hard-iron": "`hard-iron:motors`, those with thrusters, whose motors are electric; "
     "`hard-iron:estimated` those, and others where the audit found it.",
-    "wind": "`wind:coefficients`, those whose file has no `wind` yet; and not with an environment "
-    "per recording.",
+    "wind": "`wind:measured` and `wind:coefficients`, those whose file has no `wind` yet; the second not with "
+    "an environment per recording.",
     "shallow-water": "refused for a depth up to the draught.",
     "feedback-error": _KIND,
     **dict.fromkeys(

@@ -29,6 +29,8 @@ CHANNEL_UNITS = {  # of all native channels but orders and what was executed
     "r": "rad/s",
     "wind_speed": "m/s",
     "wind_direction": "rad",
+    "apparent_wind_speed": "m/s",
+    "apparent_wind_angle": "rad",
     "phi": "rad",
     "p": "rad/s",
 }
@@ -47,6 +49,8 @@ _CHANNEL_WORDS = {  # longer groups first
     ("p",): "roll rate",
     ("wind_speed",): "wind speed",
     ("wind_direction",): "wind direction",
+    ("apparent_wind_speed",): "apparent wind speed",
+    ("apparent_wind_angle",): "apparent wind angle",
 }
 _ACTUATION_WORDS = {"cmd_": "order", "exec_": "executed"}  # by prefix
 
@@ -133,7 +137,7 @@ class Trajectory:
     r: Series  # rad/s
     commanded: dict[str, Series]  # by actuator channel, in that actuator's unit
     executed: dict[str, Series]
-    extra: dict[str, Series]  # wind_speed m/s, wind_direction rad (from), phi rad, p rad/s
+    extra: dict[str, Series]  # of CHANNEL_UNITS, what is no motion; winds are where from
     valid: Bool[Any, "time"]
     outcome: Int[Any, ""] | int = int(Outcome.COMPLETED)
     name: str = "run"

@@ -86,6 +86,17 @@ class State(eqx.Module):
     r: Scalar  # rad/s, positive to starboard
 
 
+class MeasuredDisturbance(eqx.Module):
+    """What was measured of what disturbs the vessel, at a time; leaves may be of rows or steps.
+
+    Zero where nothing was measured.
+    """
+
+    heel: Scalar = 0.0  # rad, to starboard
+    wind_north: Scalar = 0.0  # m/s, where the air moves to
+    wind_east: Scalar = 0.0  # m/s
+
+
 class Environment(eqx.Module):
     """Water and air around one run, steady and uniform, in earth axes.
 
@@ -97,4 +108,4 @@ class Environment(eqx.Module):
     wind_north: Scalar = 0.0  # m/s, where the air moves to
     wind_east: Scalar = 0.0  # m/s
     shallowness: Scalar = 0.0  # -ln(1 - T / h) of the vessel's draught and the depth, 0 is deep
-    heel: Scalar = 0.0  # rad, to starboard; where it was recorded it changes within a run
+    disturbance: MeasuredDisturbance = MeasuredDisturbance()  # it changes within a run

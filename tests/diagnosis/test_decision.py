@@ -10,6 +10,7 @@ from diffsea import EFFECTS
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP
 from diffsea.diagnosis.constancy import Constancy
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
+from diffsea.diagnosis.first_hypotheses import FirstHypothesis
 from diffsea.diagnosis.localisation import Bin, Cell
 from diffsea.diagnosis.record import _reason
 from diffsea.diagnosis.refits import with_mirrors
@@ -334,7 +335,9 @@ def test_the_chance_that_is_stated_is_the_one_that_decided(evidence, expected, v
     assert verdict_on((), p_value) == verdict
     # Beside a fault that the audit had found, too.
     fault = AcceptedEffect(judged("gyro-bias", 90.0), listed())
-    beside = dataclasses.replace(found, effects=(fault,), audited=("gyro-bias",))
+    beside = dataclasses.replace(
+        found, effects=(fault,), first=(FirstHypothesis("gyro-bias", np.ones(1)),)
+    )
     assert unexplained_p_value(beside, beside, NO_BOOTSTRAP) == p_value
 
 

@@ -8,7 +8,7 @@ import pytest
 from tests.diagnosis.small import candidate, still_problem, still_run, usv
 
 from diffsea import EFFECTS, read_vessel
-from diffsea.diagnosis.audited import names_found
+from diffsea.diagnosis.first_hypotheses import names_found
 from diffsea.diagnosis.score import NullDistribution, ScoreTest
 from diffsea.diagnosis.screening import (
     Screening,

@@ -12,9 +12,9 @@ from tests.runs import random_steps
 
 from diffsea import EFFECTS, Finding, Trajectory, audit
 from diffsea.diagnosis import refits, selection
-from diffsea.diagnosis.audited import AuditedEffect, audited_effects
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
+from diffsea.diagnosis.first_hypotheses import FirstHypothesis, audited_effects
 from diffsea.diagnosis.record import summary
 from diffsea.diagnosis.refits import judge_exchanged, make_hypothesis
 from diffsea.diagnosis.score import linearise_model
@@ -30,7 +30,7 @@ from diffsea.diagnosis.selection import (
     withdraw_outdone,
     withdraw_worsening,
 )
-from diffsea.diagnosis.verdict import believe_audit, explain
+from diffsea.diagnosis.verdict import explain, judge_all_first
 from diffsea.identification.fit import Start, estimate
 from diffsea.identification.free_predictions import ChanceOfLoss, relative_losses
 from diffsea.identification.holdout import exchanged_fit, split_data
@@ -160,7 +160,7 @@ def test_what_the_audit_found_is_believed_first_where_the_model_agrees(data, nom
     false = [claimed("lever-arm", run.name, x=0.8, y=0.0) for run in runs]
     found = audited_effects(usv(), data.train.layout, [*audit(runs), *false], len(runs))
     assert {one.effect for one in found} == {"gyro-bias", "lever-arm"}
-    now = believe_audit(data, nominal, screening, found, no_progress)
+    now = judge_all_first(data, nominal, screening, found, no_progress)
     assert accepted_names(now) == now.audited == ("gyro-bias",) and not now.searched
     bias = data.train.layout.physical("gyro-bias", now.final.coordinates)[0]
     assert bias == pytest.approx([BIAS], rel=0.1)
@@ -230,8 +230,8 @@ def test_a_deviation_that_an_audit_finds_begins_a_diagnosis_with_its_size_and_ph
 
 def test_a_search_whose_time_is_over_says_so(data, nominal, screening):
     over = Deadline(seconds=-1.0)
-    fault = AuditedEffect("gyro-bias", np.ones(1))
-    begins = believe_audit(data, nominal, screening, [fault], no_progress, over)
+    fault = FirstHypothesis("gyro-bias", np.ones(1))
+    begins = judge_all_first(data, nominal, screening, [fault], no_progress, over)
     assert not begins.complete and begins.effects == ()
     cut = forward_search(data, begun(nominal, screening), NO_BOOTSTRAP, no_progress, over)
     assert not cut.complete and cut.effects == () and cut.final is nominal

@@ -8,12 +8,13 @@ from tests.paths import ORACLE
 
 from diffsea import Environment, read_vessel
 from diffsea.identification.filter.kalman import FilterRow, propagate, propagation_jacobian
+from diffsea.types import MeasuredDisturbance
 from diffsea.vessel.files import build
 from diffsea.vessel.servo import Response
 
 
 STEP = 1e-5
-WEATHER = Environment(0.2, 0.3, -4.0, 7.0, shallowness=0.4, heel=0.05)
+WEATHER = Environment(0.2, 0.3, -4.0, 7.0, shallowness=0.4, disturbance=MeasuredDisturbance(0.05))
 
 
 def row_of(boat, straight: bool) -> FilterRow:

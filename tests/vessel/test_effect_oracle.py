@@ -21,6 +21,7 @@ from tests.runs import disagreement, state_of, varied
 from diffsea import State
 from diffsea.simulation.integrate import advance, begin
 from diffsea.trajectory import MOTION_CHANNELS
+from diffsea.types import MeasuredDisturbance
 from diffsea.vessel.files import build
 
 
@@ -194,7 +195,8 @@ def library_run(run, document):
     def one(carry, held):
         motion, t = carry
         environment = vessel.environment
-        environment = replace(environment, heel=mean_heel(t, run.step))
+        blown = MeasuredDisturbance(heel=mean_heel(t, run.step))
+        environment = replace(environment, disturbance=blown)
         motion = advance(vessel, motion, held, environment, t, run.step)
         return (motion, t + run.step), motion.state
 

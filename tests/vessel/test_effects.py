@@ -18,8 +18,8 @@ from diffsea import EFFECTS, Sensors, State, named
 from diffsea.kinematics import to_body
 from diffsea.simulation.actuation import thrust_shares
 from diffsea.simulation.integrate import begin
-from diffsea.simulation.replay import with_heel
 from diffsea.trajectory import MOTION_CHANNELS
+from diffsea.types import MeasuredDisturbance
 from diffsea.vessel.effects.coordinates import ScannedCoordinate
 from diffsea.vessel.files import build
 from diffsea.vessel.sensors import Step
@@ -126,7 +126,8 @@ def measured(coordinates):
     for name in POSSIBLE:
         part = [coordinates[i] for i, place in enumerate(PLACES) if place[0] == name]
         vessel = EFFECTS[name].apply(vessel, jnp.stack(part))
-    environment = with_heel(vessel.environment, 0.1)
+    blown = MeasuredDisturbance(heel=0.1, wind_north=-3.0, wind_east=4.0)
+    environment = dataclasses.replace(vessel.environment, disturbance=blown)
     orders = orders_at(STEP)
     states = replay(vessel, settled(vessel), orders, environment, STEP)
 

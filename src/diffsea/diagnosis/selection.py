@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from diffsea.budget import current_budget
 from diffsea.diagnosis.bootstrap import Bootstrap
 from diffsea.diagnosis.decision import EVIDENCE, AcceptedEffect, ShortList, decide
+from diffsea.diagnosis.first_hypotheses import FirstHypothesis
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.onsets import with_likeliest_onset
 from diffsea.diagnosis.refits import (
@@ -78,7 +79,7 @@ class Search:
     effects: tuple[AcceptedEffect, ...] = ()
     short_list: ShortList = ShortList((), 0.0)  # the first one
     dropped: tuple[str, ...] = ()  # accepted first, found needless or doubtful later
-    audited: tuple[str, ...] = ()  # of the effects, those that the audit had found
+    first: tuple[FirstHypothesis, ...] = ()  # of the effects, what recordings tell by themselves
     complete: bool = True  # False where the time was over before everything had been asked
 
     @property
@@ -87,9 +88,15 @@ class Search:
         return tuple(accepted.name for accepted in self.effects)
 
     @property
+    def audited(self) -> tuple[str, ...]:
+        """Names of the effects that the audit had found."""
+        return tuple(one.effect for one in self.first if one.is_audited)
+
+    @property
     def searched(self) -> tuple[AcceptedEffect, ...]:
-        """Effects that were not found by the audit, but by the search."""
-        return tuple(one for one in self.effects if one.name not in self.audited)
+        """Effects that were not told by the recordings, but found by the search."""
+        first = {one.effect for one in self.first}
+        return tuple(one for one in self.effects if one.name not in first)
 
 
 def forward_search(

@@ -4,14 +4,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from diffsea.budget import current_budget
-from diffsea.diagnosis.audited import (
-    AuditedEffect,
-    audited_effects,
-    judge_audited,
-    names_found,
-)
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, NO_BOOTSTRAP, Bootstrap, bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect
+from diffsea.diagnosis.first_hypotheses import (
+    FirstHypothesis,
+    audited_effects,
+    judge_first,
+    measured_disturbances,
+    names_found,
+)
 from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
 from diffsea.diagnosis.screening import Screening, candidate_effects, locate_by_noise_of, screen
 from diffsea.diagnosis.selection import (
@@ -132,8 +133,9 @@ def diagnose(
             nominal, screening = better, screen(data.train, better)
     null = bootstrap(data.train, nominal, draws, progress) if draws else NO_BOOTSTRAP
     runs = len(recordings) + len(test)
-    audited = audited_effects(vessel, data.train.layout, findings, runs)
-    begun = believe_audit(data, nominal, screening, audited, progress, deadline)
+    layout = data.train.layout
+    first = audited_effects(vessel, layout, findings, runs) + measured_disturbances(layout)
+    begun = judge_all_first(data, nominal, screening, first, progress, deadline)
     return explain(data, begun, null, progress, deadline, effort)
 
 
@@ -164,23 +166,25 @@ def nominal_elsewhere(problem: Problem, nominal: Estimate, progress: Progress) -
     return multistart(objective, nominal.free, STARTS, progress=progress, known=nominal)[0]
 
 
-def believe_audit(
+def judge_all_first(
     data: Split,
     nominal: Estimate,
     screening: Screening,
-    audited: list[AuditedEffect],
+    first: Sequence[FirstHypothesis],
     progress: Progress,
     deadline: Deadline = NO_DEADLINE,
 ) -> Search:
-    """Where the search begins: the nominal model with the faults that the audit found."""
+    """Where the search begins: the nominal model with what the recordings tell by themselves."""
     now = Search(nominal, screening, nominal, screening)
-    for one in audited:
+    for one in first:
+        told = "the audit found" if one.is_audited else "recorded is"
+        work = f"whether the model agrees that {told} {spoken_name(one.effect)}"
         if deadline.is_over:
-            current_budget().note("what the audit found, beside the model")
+            current_budget().note(work)
             return replace(now, complete=False)
-        progress(f"the audit found {spoken_name(one.effect)}: does the model agree?")
-        accepted = judge_audited(data, now.final, now.final_screening, one)
-        if current_budget().skips("what the audit found, beside the model"):
+        progress(f"{told} {spoken_name(one.effect)}: does the model agree?")
+        accepted = judge_first(data, now.final, now.final_screening, one)
+        if current_budget().skips(work):
             return replace(now, complete=False)  # its fits were cut short
         if accepted is None:
             continue
@@ -191,7 +195,7 @@ def believe_audit(
             final=final,
             final_screening=screen(data.train, final),
             effects=(*now.effects, accepted),
-            audited=(*now.audited, one.effect),
+            first=(*now.first, one),
         )
     return now
 

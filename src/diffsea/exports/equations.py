@@ -20,7 +20,7 @@ from diffsea.vessel.actuators import (
 )
 from diffsea.vessel.actuators.thrust_curve import PER_REVOLUTION
 from diffsea.vessel.base import AbstractActuator, Losses, Vessel
-from diffsea.vessel.forces import AbstractForce, Wind
+from diffsea.vessel.forces import AbstractForce, MeasuredWind, Wind
 from diffsea.vessel.hull import CrossFlowDrag, Damping, PrimeDamping, Scaling, ShallowDamping
 from diffsea.vessel.inertia import AddedMass, MunkMoment, RigidBody
 from diffsea.vessel.servo import Servo
@@ -229,7 +229,8 @@ def _coriolis(body: RigidBody, added: AddedMass) -> Polynomial:
 def _is_calm(force: AbstractForce, vessel: Vessel) -> bool:
     """Whether a force is that of a wind that does not blow."""
     at = vessel.environment
-    return isinstance(force, Wind) and is_absent(float(at.wind_north), float(at.wind_east))
+    is_still = is_absent(float(at.wind_north), float(at.wind_east))
+    return isinstance(force, MeasuredWind) or (isinstance(force, Wind) and is_still)
 
 
 def _channel(name: str, unit: str, servo: Servo, left_out: list[str]) -> Channel:

@@ -197,5 +197,5 @@ def vessel_in_environment(problem: Problem, coordinates: Float[np.ndarray, "own"
     """The vessel at coordinates with one set per effect, its environment in place."""
     layout = dataclasses.replace(problem.layout, runs=1, per_run=False)
     vessel, flows = vessel_at(problem.base, *layout.present(np.asarray(coordinates)))
-    environment = type(flows)(*(float(np.asarray(leaf)[0]) for leaf in vars(flows).values()))
+    environment = jax.tree.map(lambda leaf: float(np.asarray(leaf)[0]), flows)
     return jax.tree.map(float, dataclasses.replace(vessel, environment=environment))

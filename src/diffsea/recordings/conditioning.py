@@ -19,7 +19,7 @@ from diffsea.trajectory import Samples, Trajectory
 
 
 HELD_STEP = 0.02  # of the range of actuation: less is no change
-_ANGLES = ("wind_direction",)  # wrapped in recordings, so averaged on the circle
+_WRAPPED = ("wind_direction", "apparent_wind_angle")  # so averaged on the circle
 _BRIDGED_INTERVALS = 3.0  # of a channel's own: a straight line says little across more
 
 
@@ -143,7 +143,7 @@ def resample(trajectory: Trajectory, interval: float, max_gap: float | None = No
     for name, series in even.items():
         if is_held(name):
             even[name] = hold_at(old, series, new + 1e-6 * interval)
-        elif name in _ANGLES:
+        elif name in _WRAPPED:
             circle = _local_lines(old, np.exp(1j * series), new, interval, max_gap)
             even[name] = np.where(np.isfinite(circle), np.angle(circle) % (2 * np.pi), np.nan)
         elif name != "t":

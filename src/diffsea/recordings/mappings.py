@@ -74,6 +74,7 @@ UNITS: dict[str, tuple[str, float]] = {
 CHANNEL_DIMENSIONS = {"t": "time", "x": "length", "y": "length", "psi": "angle"}
 CHANNEL_DIMENSIONS |= {"u": "speed", "v": "speed", "r": "angular rate"}
 _EXTRA = {"wind_speed": "speed", "wind_direction": "angle", "phi": "angle", "p": "angular rate"}
+_EXTRA |= {"apparent_wind_speed": "speed", "apparent_wind_angle": "angle"}
 _EXTRA |= {"armed": "ratio"}  # one where the autopilot lets orders reach the actuators, else zero
 CHANNEL_DIMENSIONS |= _EXTRA
 EXTRA_CHANNELS = tuple(_EXTRA)  # beside motion and actuation
@@ -89,6 +90,7 @@ _GEODETIC = {"latitude": "angle", "longitude": "angle"}
 
 # East-north-up axes with forward-port-up body axes, turned into those of this package.
 _TURNED = {"psi": math.pi / 2, "wind_direction": math.pi / 2, "v": 0.0, "r": 0.0}
+_TURNED |= {"apparent_wind_angle": 0.0}
 _SWAPPED = {"x": "y", "y": "x"}
 
 MAY_BE_CONSTANT = ("wind_speed", "wind_direction", "phi")  # and orders

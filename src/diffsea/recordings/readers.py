@@ -43,6 +43,7 @@ from diffsea.recordings.tables import (
     numeric_column,
     read_table,
 )
+from diffsea.recordings.wind import with_true_wind
 from diffsea.series import (
     BRIDGED_INTERVALS,
     CALENDAR,
@@ -112,7 +113,7 @@ def read_recording(
         raise UserError(told) from error
     if mapping is not None and mapping.constants:
         whole = _with_constants(whole, mapping)
-    return cut_between(whole, start, end)
+    return cut_between(with_true_wind(whole), start, end)
 
 
 def _read_whole(source: str | Path | pd.DataFrame, mapping: Mapping | None) -> Trajectory:

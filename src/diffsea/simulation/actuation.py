@@ -1,4 +1,4 @@
-"""What acts along a recording: orders, executed actuation and heel, measured or reconstructed."""
+"""What acts along a recording: orders, executed actuation, heel and wind."""
 
 import dataclasses
 from collections.abc import Container, Mapping, Sequence
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from diffsea.errors import UserError
 from diffsea.series import hold_last, interpolate_missing
 from diffsea.trajectory import MOTION_CHANNELS, Samples, Trajectory
-from diffsea.types import Scalar, State, as_inputs
+from diffsea.types import MeasuredDisturbance, Scalar, State, as_inputs
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.actuators import largest_order
 from diffsea.vessel.forces import Force
@@ -228,12 +228,20 @@ def recorded_shares(vessel: Vessel, recording: Trajectory) -> dict[str, Samples]
     return {c: np.asarray(share) for c, share in thrust_shares(vessel, done).items()}
 
 
-def recorded_heel(recording: Trajectory) -> Samples:
-    """Recorded heel (rad) of the rows that count, missing samples interpolated; zero without."""
+def measured_disturbance(recording: Trajectory) -> MeasuredDisturbance:
+    """Means over the rows that count, missing samples interpolated; zero where not measured."""
     run = recording.counted()
-    if "phi" not in run.extra or not np.isfinite(run.extra["phi"]).any():
-        return np.zeros(len(run.t))
-    return _row_means(interpolate_missing(run.t, run.extra["phi"]))  # it is held over a row
+
+    def over_each_row(series: Samples) -> Samples:
+        if not np.isfinite(series).any():
+            return np.zeros(len(run.t))
+        return _row_means(interpolate_missing(run.t, series))  # it is held over a row
+
+    nothing = np.full(len(run.t), np.nan)
+    heel, *wind = (run.extra.get(c, nothing) for c in ("phi", "wind_speed", "wind_direction"))
+    speed, comes_from = wind
+    north, east = -speed * np.cos(comes_from), -speed * np.sin(comes_from)
+    return MeasuredDisturbance(over_each_row(heel), over_each_row(north), over_each_row(east))
 
 
 def servo_path(

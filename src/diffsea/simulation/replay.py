@@ -4,6 +4,7 @@ Nothing is corrected on the way: a replay shows how errors of a model grow, over
 run (`replay`, `replay_errors`) and from many starts along it (`horizon_errors`).
 """
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -18,9 +19,9 @@ from diffsea.kinematics import wrap
 from diffsea.scales import plausible_motion, time_scale
 from diffsea.series import median_interval
 from diffsea.simulation.actuation import (
+    measured_disturbance,
     over_rows,
     recorded_actuation,
-    recorded_heel,
     recorded_shares,
     servo_path,
     true_actuation,
@@ -29,8 +30,9 @@ from diffsea.simulation.integrate import rk4, rk4_looped
 from diffsea.simulation.order_units import order_doubts
 from diffsea.simulation.sensed_motion import has_sample_near, shown_motion, true_motion
 from diffsea.trajectory import MOTION_CHANNELS, Outcome, Samples, Trajectory
-from diffsea.types import Environment, Scalar, State
+from diffsea.types import MeasuredDisturbance, State
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.forces import MeasuredWind
 from diffsea.vessel.servo import OrderHistory, Response
 
 
@@ -50,7 +52,7 @@ class _Steps(eqx.Module):
     dt: Float[Array, "step"]
     orders: dict[str, Float[Array, "step"]]
     executed: dict[str, Float[Array, "step"]]  # of the channels taken as measured
-    heel: Float[Array, "step"]  # rad, as recorded; zero where it was not
+    disturbance: MeasuredDisturbance
     order_times: Float[Array, "order"]  # s, beginning long before the run
     order_values: dict[str, Float[Array, "order"]]
 
@@ -61,7 +63,7 @@ class _DrivenSteps(NamedTuple):
     t: Float[Array, "*step"]  # s, start of the step
     dt: Float[Array, "*step"]
     response: dict[str, Response]
-    heel: Float[Array, "*step"]  # rad
+    disturbance: MeasuredDisturbance
 
 
 class _ReplayInputs(NamedTuple):
@@ -81,7 +83,7 @@ class _ReplayInputs(NamedTuple):
     @property
     def driven(self) -> _DrivenSteps:
         """The steps with the response of every channel."""
-        return _DrivenSteps(self.steps.t, self.steps.dt, self.response, self.steps.heel)
+        return _DrivenSteps(self.steps.t, self.steps.dt, self.response, self.steps.disturbance)
 
 
 def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = True) -> Trajectory:
@@ -228,11 +230,6 @@ def horizons_within(
             yield number, float(horizon), end[:, number] >= 0
 
 
-def with_heel(environment: Environment, heel: Scalar) -> Environment:
-    """The environment with the recorded heel of a moment in it."""
-    return eqx.tree_at(lambda e: e.heel, environment, heel)
-
-
 def _replay_inputs(
     vessel: Vessel, recording: Trajectory, measured_actuation: bool
 ) -> _ReplayInputs:
@@ -240,17 +237,21 @@ def _replay_inputs(
     orders, executed = recorded_actuation(vessel, run)
     executed = executed if measured_actuation else {}
     commanded = [c for c in vessel.channels if c not in executed]
+    disturbance = measured_disturbance(run)
     notes = order_doubts(vessel, run, executed)
     notes += [f"executed {', '.join(executed)} as measured"] if executed else []
     if commanded:
         notes.append(f"executed {', '.join(commanded)} reconstructed from the orders")
+    if any(isinstance(force, MeasuredWind) for force in vessel.forces.values()):
+        blows = np.any(disturbance.wind_north) or np.any(disturbance.wind_east)
+        notes.append("in the wind as measured" if blows else "in still air: no wind was measured")
     acting = {
         channel: np.asarray(
             true_actuation(vessel, channel, jnp.asarray(run.t), jnp.asarray(values))
         )
         for channel, values in over_rows(run, orders, executed).items()
     }
-    steps, rows = _integration_steps(vessel, run, orders, acting)
+    steps, rows = _integration_steps(vessel, run, orders, acting, disturbance)
     shares = recorded_shares(vessel, run)
     motion, derived = true_motion(vessel.sensors, run, shares)
     made_of = run, orders, executed, steps, rows, *_actuate(vessel, steps)
@@ -258,7 +259,11 @@ def _replay_inputs(
 
 
 def _integration_steps(
-    vessel: Vessel, run: Trajectory, orders: dict[str, Samples], executed: dict[str, Samples]
+    vessel: Vessel,
+    run: Trajectory,
+    orders: dict[str, Samples],
+    executed: dict[str, Samples],
+    disturbance: MeasuredDisturbance,
 ) -> tuple[_Steps, Int[np.ndarray, "time"]]:
     """Steps no longer than the vessel's own time scale allows, and the first of each row."""
     t, interval = run.t, np.diff(run.t)
@@ -279,7 +284,7 @@ def _integration_steps(
         dt=jnp.asarray(dt),
         orders={c: jnp.asarray(values[row]) for c, values in orders.items()},
         executed={c: jnp.asarray(values[row]) for c, values in executed.items()},
-        heel=jnp.asarray(recorded_heel(run)[row]),
+        disturbance=jax.tree.map(lambda series: jnp.asarray(series[row]), disturbance),
         order_times=jnp.append(t[0] - 1e9, np.pad(t, (0, late), mode="edge")),
         order_values={
             c: jnp.asarray(np.pad(values, (1, late), mode="edge")) for c, values in orders.items()
@@ -323,7 +328,7 @@ def _integrate(vessel: Vessel, first: State, steps: _DrivenSteps) -> State:
     """The state at the start of every step."""
 
     def body(state: State, step: _DrivenSteps) -> tuple[State, State]:
-        environment = with_heel(vessel.environment, step.heel)
+        environment = dataclasses.replace(vessel.environment, disturbance=step.disturbance)
         return rk4(vessel, state, step.response, environment, step.t, step.dt), state
 
     return jax.lax.scan(body, first, steps)[1]
@@ -364,7 +369,7 @@ def _integrate_from_each(
 
     def next_state(state: State, at: Int[Array, ""]) -> State:
         step = jax.tree.map(lambda leaf: leaf[at], steps)
-        environment = with_heel(vessel.environment, step.heel)
+        environment = dataclasses.replace(vessel.environment, disturbance=step.disturbance)
         return rk4_looped(vessel, state, step.response, environment, step.t, step.dt)
 
     def body(k: Int[Array, ""], carry: tuple[State, State]) -> tuple[State, State]:

@@ -1,6 +1,7 @@
 """Generalised forces on a vessel, and those that come from outside: wind, swell, a steady force."""
 
 import abc
+import dataclasses
 from typing import ClassVar
 
 import equinox as eqx
@@ -82,9 +83,10 @@ class Wind(AbstractForce):
     def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
         if is_absent(environment.wind_north, environment.wind_east):
             return Force()
-        return self._force(*through_air(state, environment)) - self._force(-state.u, -state.v)
+        return self.by_air(*through_air(state, environment)) - self.by_air(-state.u, -state.v)
 
-    def _force(self, u_a: Scalar, v_a: Scalar) -> Force:
+    def by_air(self, u_a: Scalar, v_a: Scalar) -> Force:
+        """The force of air that moves at (u_a, v_a) m/s past the vessel, its drag included."""
         # The small constant keeps the speed differentiable in a calm at rest.
         speed = jnp.sqrt(u_a**2 + v_a**2 + 1e-12)
         q = 0.5 * self.air_density
@@ -93,6 +95,24 @@ class Wind(AbstractForce):
             q * self.lateral_area * self.C_Y * speed * v_a,
             -q * self.lateral_area * self.length * self.C_N * 2 * u_a * v_a,
         )
+
+
+class MeasuredWind(AbstractForce):
+    """What the measured wind does to a superstructure, beside the environment's steady wind."""
+
+    superstructure: Wind
+
+    def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
+        blown = environment.disturbance
+        if is_absent(blown.wind_north, blown.wind_east):
+            return Force()
+        whole = dataclasses.replace(
+            environment,
+            wind_north=environment.wind_north + blown.wind_north,
+            wind_east=environment.wind_east + blown.wind_east,
+        )
+        by_air = self.superstructure.by_air
+        return by_air(*through_air(state, whole)) - by_air(*through_air(state, environment))
 
 
 class EarthForce(AbstractForce):

@@ -167,7 +167,8 @@ class RollCoupling(AbstractForce):
     N_phi: Scalar = 0.0  # N m/rad
 
     def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
-        return Force(0.0, self.Y_phi * environment.heel, self.N_phi * environment.heel)
+        heel = environment.disturbance.heel
+        return Force(0.0, self.Y_phi * heel, self.N_phi * heel)
 
 
 class ShallowDamping(AbstractDependentForce):

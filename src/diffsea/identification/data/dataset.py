@@ -2,11 +2,13 @@
 # A data set is of NumPy where it is made, of JAX within programs.
 """The data set: recordings laid end to end on one clock, ready for a filter to run along."""
 
+import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -24,8 +26,9 @@ from diffsea.identification.data.orders import (
 )
 from diffsea.scales import time_scale
 from diffsea.series import median_interval
-from diffsea.simulation.actuation import over_rows, recorded_actuation
+from diffsea.simulation.actuation import measured_disturbance, over_rows, recorded_actuation
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
+from diffsea.types import MeasuredDisturbance
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.coordinates import TimeSpan
 
@@ -74,7 +77,7 @@ class Dataset(eqx.Module):
     part: Int[Array, "row"]  # of a run without long gaps; its lead-in has no samples of that time
     starts: Bool[Array, "row"]  # first recorded row of a part
     first: Float[Array, "row 6"]  # the part's first state, a rough guess
-    heel: Float[Array, "row"]  # rad, as predicted from before; zero where none was recorded
+    disturbance: MeasuredDisturbance  # heel as predicted from before
     orders: dict[str, Float[Array, "row"]]
     executed: dict[str, Float[Array, "row"]]  # measured actuation; only channels that have it
     order_times: dict[str, Float[Array, "order"]]  # s, with one order long before each run
@@ -191,6 +194,7 @@ def make_dataset(
     whole = np.concatenate([run.columns["run"] for run in runs])
     return Dataset(
         **{name: lay_out(run.columns[name] for run in runs) for name in runs[0].columns},
+        disturbance=jax.tree.map(lambda *parts: lay_out(parts), *(run.disturbance for run in runs)),
         orders={c: lay_out(run.orders[c] for run in runs) for c in channels},
         executed={c: lay_out(run.executed[c] for run in runs) for c in measured},
         order_times={c: times for c, (times, _) in tables.items()},
@@ -207,6 +211,7 @@ class _RunRows(NamedTuple):
     """The rows of one run: columns of a `Dataset` by name, orders and actuation by channel."""
 
     columns: dict[str, np.ndarray]
+    disturbance: MeasuredDisturbance
     orders: dict[str, Float[np.ndarray, "row"]]
     executed: dict[str, Float[np.ndarray, "row"]]
     given: dict[str, GivenOrders]
@@ -257,10 +262,13 @@ def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows
         "part": part[row],
         "starts": starts[row] & recorded,
         "first": np.stack(firsts)[part[row]],
-        "heel": means_of_rows(all_times, predicted_heel(recording), keep)[row],
     }
+    disturbance = dataclasses.replace(
+        measured_disturbance(recording), heel=predicted_heel(recording)
+    )
     return _RunRows(
         columns,
+        jax.tree.map(lambda one: means_of_rows(all_times, one, keep)[row], disturbance),
         {c: means_of_rows(all_times, one, keep)[row] for c, one in orders.items()},
         {c: means_of_rows(all_times, one, keep)[row] for c, one in executed.items()},
         {c: orders_given(all_times, one, keep) for c, one in orders.items()},

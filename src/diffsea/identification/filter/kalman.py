@@ -11,6 +11,7 @@ converges to the estimate with the optimal gains: dropping the gains' own deriva
 asymptotic efficiency, because the innovations are uncorrelated with it (Ljung 1999, section 9.4).
 """
 
+import dataclasses
 from collections.abc import Callable
 
 import equinox as eqx
@@ -44,7 +45,6 @@ from diffsea.kinematics import wrap
 from diffsea.scales import froude_speed
 from diffsea.simulation.actuation import true_actuation
 from diffsea.simulation.integrate import rk4_looped
-from diffsea.simulation.replay import with_heel
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
@@ -109,7 +109,7 @@ def filter_rows(
     flow = jax.tree.map(lambda leaf: leaf[dataset.run], flows)
     samples = placed_samples(dataset, placement)
     return FilterRow(
-        with_heel(flow, flow.heel + dataset.heel),
+        dataclasses.replace(flow, disturbance=dataset.disturbance),
         dataset.dt,
         dataset.run_time,
         samples.measured,

@@ -104,7 +104,7 @@ _EXAMPLES = {
 }
 _EXAMPLE_UNITS = {"psi": "rad", "latitude": "deg", "r": "rad/s", "x": "m"}
 _ENDINGS = {"_deg": "deg", "_rad": "rad", "_deg_s": "deg/s", "_rad_s": "rad/s", "_m": "m"}
-_ANGLES = ("psi", "phi", "wind_direction")
+_ANGLES = ("psi", "phi", "wind_direction", "apparent_wind_angle")
 
 Rows = Float[np.ndarray, "row"]  # the recording's, in s, or values in them
 

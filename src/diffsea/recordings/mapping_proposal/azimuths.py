@@ -8,12 +8,14 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from diffsea.recordings.mapping_proposal.names import Suggestion
+from diffsea.recordings.wind import APPARENT, TRUE
 
 
 _ANGLES = {"angle", "azimuth", "azi", "alpha", "winkel"}
 _POWERS = {"rpm", "rps", "revs", "n", "drehzahl", "force", "thrust", "throttle", "power", "pwm"}
 _UNITS = {"deg", "degree", "degrees", "rad", "us", "percent", "pct", "newton", "kn"}
 _ORDERS = {"order", "ordered", "orders", "cmd", "command", "commanded", "setpoint", "sp", "ref"}
+_NO_THRUSTERS = ("psi", "phi", *TRUE, *APPARENT)
 _FIELDS = {"data", "value"}  # of a topic that has but one
 _SIDES = {"port", "starboard", "stbd", "left", "right"}
 _FORE, _AFT = (
@@ -56,7 +58,7 @@ def azimuth_columns(
     orders: dict[tuple[str, ...], str] = {}  # of what, their names do not say
     angles: dict[tuple[str, ...], str] = {}
     for name in names:
-        if suggestions[name].best in ("psi", "phi", "wind_direction", "wind_speed"):
+        if suggestions[name].best in _NO_THRUSTERS:
             continue
         words = _words(name)
         told = frozenset(words)

@@ -59,6 +59,7 @@ from diffsea.recordings.mapping_proposal.table_layout import (
 )
 from diffsea.recordings.mappings import UNITS, Column, Mapping
 from diffsea.recordings.readers import read_recording
+from diffsea.recordings.wind import APPARENT, TRUE
 from diffsea.trajectory import Samples, Trajectory
 
 
@@ -76,7 +77,8 @@ _OVER_GROUND = (
     "nothing better is there: course and speed over ground are not {channel} where the vessel "
     "drifts, turns or meets a current"
 )
-_LARGEST_RADIANS = {"phi": 1.0, "wind_direction": 2 * math.pi + 0.05}  # beyond, it is degrees
+_LARGEST_RADIANS = {"phi": 1.0}  # beyond, it is degrees
+_LARGEST_RADIANS |= dict.fromkeys(("wind_direction", "apparent_wind_angle"), 2 * math.pi + 0.05)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -480,7 +482,7 @@ def _reason(best: ScoredHypothesis, channel: str) -> str:
 def _wind_and_roll_guesses(source: _Source, used: set[str]) -> list[ChannelGuess]:
     """Wind and roll, which nothing but their names and ranges tells."""
     found: dict[str, ChannelGuess] = {}
-    for channel in ("wind_speed", "wind_direction", "phi", "p"):
+    for channel in (*TRUE, *APPARENT, "phi", "p"):
         free = [name for name in source.table if name not in used]
         weights = {name: source.prior.suggestions[name].weights[channel] for name in free}
         named = [(weight, name) for name, weight in weights.items() if weight > NAMED]

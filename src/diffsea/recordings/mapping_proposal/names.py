@@ -26,8 +26,8 @@ def _meaning_of_words(table: str) -> dict[str, str]:
 
 # The order of labels decides between those of equal weight.
 _ORDER = (
-    "t x y north east lat lon psi u v vx vy vn ve r phi p wind_speed wind_direction rudder "
-    "propeller port starboard thrust other"
+    "t x y north east lat lon psi u v vx vy vn ve r phi p wind_speed wind_direction "
+    "apparent_wind_speed apparent_wind_angle rudder propeller port starboard thrust other"
 ).split()
 _DIMENSIONS = _meaning_of_words("labels")
 LABELS = {label: _DIMENSIONS[label] for label in _ORDER}  # and the dimensions of their numbers
@@ -43,6 +43,7 @@ _SPOILERS, _ORDERS, _REALISED, _SPEEDS_OVER_GROUND, _COURSES_OVER_GROUND = (
     for kind in ("spoilers", "orders", "realised", "speed_over_ground", "course_over_ground")
 )
 
+_APPARENT = frozenset({"apparent", "relative"})  # what spoils any name but that of a wind
 _ORDERED_BY_PULSES = ("rudder", "propeller", "thrust")
 _ORDERED_BY_SHARES = ("propeller", "thrust")
 
@@ -50,8 +51,10 @@ _SINE = re.compile(r"(?:(?<![A-Za-z])sin|Sin|(?<![A-Z])SIN)(?:(e|E)(?![a-zA-Z])|
 
 # Weights are prior probabilities, set on the names of published data sets.
 _SINGLE_LETTER = 0.3  # what a letter's weight is lessened by beside words: it is often an index
-_UNSUGGESTED = 0.003  # the weight of a label that a name of known words does not suggest
-_UNINFORMATIVE = 0.035  # the weight of every label for a name that says nothing
+_UNSUGGESTED = 0.075 / len(
+    LABELS
+)  # the weight of a label that a name of known words does not suggest
+_UNINFORMATIVE = 0.875 / len(LABELS)  # the weight of every label for a name that says nothing
 _WRONG_DIMENSION = 0.03  # factor on a label's weight where the unit is of another dimension
 NAMED = 0.5  # the weight of a label above which a name is believed
 
@@ -113,8 +116,12 @@ def suggest_labels(name: str, stated_unit: str = "") -> Suggestion:
     tail = next((_UNIT_TAILS[tail] for tail in tails if tail in _UNIT_TAILS), "")
     unit = _known_unit(stated_unit or unit_in(name)) or tail
     entry = _vocabulary_entry(words)
+    if entry and tail == "ms" == unit and LABELS[max(entry, key=lambda of: entry[of])] == "speed":
+        unit = "m/s"
     turns_or_drives = {"rudder", "propeller", "port", "starboard"} & set(entry or ())
     spoilers = _SPOILERS - _ORDERS if turns_or_drives else _SPOILERS
+    if {"apparent_wind_speed", "apparent_wind_angle"} & set(entry or ()):
+        spoilers = spoilers - _APPARENT
     differentiated = "dot" in words and not _VOCABULARY.get(" ".join(words[:2]))
     weights = dict.fromkeys(LABELS, _UNINFORMATIVE if entry is None else _UNSUGGESTED)
     if entry and not (spoilers & set(words) or differentiated):

@@ -115,6 +115,8 @@ class Effect:
     usual: Callable[[Vessel], bool] = lambda vessel: True
     # Whether a vessel, as fitted, may have it with her other numbers; None: each within its bounds.
     plausible: Callable[[Vessel], bool] | None = None
+    # Of what surely acts where what it needs was measured: about how much, in SI units.
+    usual_coordinates: tuple[float, ...] = ()
 
     @property
     def is_law(self) -> bool:

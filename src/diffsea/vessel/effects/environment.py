@@ -23,7 +23,7 @@ from diffsea.vessel.effects.entry import (
     read_table,
     with_force,
 )
-from diffsea.vessel.forces import EarthForce, Wind
+from diffsea.vessel.forces import EarthForce, MeasuredWind, Wind
 from diffsea.vessel.hull import ShallowDamping
 from diffsea.vessel.tables import Table, numbers
 
@@ -33,6 +33,7 @@ LOG_COEFFICIENT_SPREAD = 0.8
 C_N_SPREAD = 0.1  # of the coefficient of the wind's moment: as large as its usual value
 CURRENT_SIZE = 0.3  # m/s
 WIND_SIZE = 5.0  # m/s
+MEASURED_WIND = "measured-wind"  # the force
 environment_effect = functools.partial(entry, "environment")
 _SUPERSTRUCTURE_KEYS = ("frontal_area", "lateral_area", "C_X", "C_Y", "C_N")
 
@@ -75,10 +76,14 @@ def superstructure(vessel: Vessel) -> Wind:
 def _read_wind(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
     """A wind and the superstructure that it acts on.
 
-    What an earlier table says of the superstructure holds for a wind that is added.
+    What an earlier table says of the superstructure holds for a wind that is added. A wind without
+    speed is that of the recordings.
     """
     given = numbers(table, _SUPERSTRUCTURE_KEYS, where)
-    vessel = with_force(vessel, "wind", dataclasses.replace(superstructure(vessel), **given))
+    stated = dataclasses.replace(superstructure(vessel), **given)
+    vessel = with_force(vessel, "wind", stated)
+    if not numbers(table, ("speed",), where).get("speed"):
+        vessel = with_force(vessel, MEASURED_WIND, MeasuredWind(stated))
     return read_table(vessel, table, variants, where, _SUPERSTRUCTURE_KEYS)
 
 
@@ -157,6 +162,27 @@ def wind_and_coefficients(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """
     changed = dataclasses.replace(superstructure(vessel), **_coefficients_at(vessel, at))
     return wind.apply(with_force(vessel, "wind", changed), at[:2])
+
+
+@environment_effect(
+    "wind:measured",
+    Size("C_X", "1", 0.25, (0.0, 5.0), positive=True),
+    Size("C_Y", "1", 0.3, (0.0, 5.0), positive=True),
+    Size("C_N", "1", 0.05, (-1.0, 1.0)),
+    phrase="the measured wind on a superstructure with C_X {C_X}, C_Y {C_Y} and C_N {C_N}",
+    confusables=wind.confusables,
+    possible=lambda vessel: "wind" not in vessel.forces,
+    needs="wind_direction",
+    usual_coordinates=(Wind.C_X, Wind.C_Y, Wind.C_N),
+    nearly=True,
+)
+def measured_wind(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """The law of `wind` with the true wind that was measured all along, and coefficients on areas
+    as large above the water as below.
+    """
+    C_X, C_Y, C_N = at
+    found = dataclasses.replace(superstructure(vessel), C_X=C_X, C_Y=C_Y, C_N=C_N)
+    return with_force(vessel, MEASURED_WIND, MeasuredWind(found))
 
 
 def _base_frequency(vessel: Vessel) -> Scalar:
@@ -256,4 +282,4 @@ def shallow_water(vessel: Vessel, shallowness: CoordinateValues) -> Vessel:
     return with_force(vessel, "shallow-water", ShallowDamping())
 
 
-ENVIRONMENT = (current, wind, wind_and_coefficients, wave_force, shallow_water)
+ENVIRONMENT = (current, wind, wind_and_coefficients, measured_wind, wave_force, shallow_water)

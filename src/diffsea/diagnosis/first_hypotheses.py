@@ -1,8 +1,10 @@
-"""Faults that the audit found, as the first hypotheses of a diagnosis.
+"""The first hypotheses of a diagnosis: faults that the audit found, and disturbances measured.
 
 An audit compares channels of one run with each other and needs no model of the vessel. A fault of a
 sensor or a clock that it finds with one size in most of the runs is tried before any force is
-blamed, and asked no more than that the model agrees.
+blamed, and asked no more than that the model agrees. So is a disturbance that was measured, as the
+wind by an anemometer: it acts on every vessel, and what the model makes of its absence would be
+named as something else.
 """
 
 import dataclasses
@@ -33,16 +35,26 @@ LARGEST_SPREAD = 0.25  # of a size over runs, in its median: as of an effect's c
 
 
 @dataclasses.dataclass(frozen=True)
-class AuditedEffect:
-    """A fault found with one size in most of the runs, as an effect of the catalogue."""
+class FirstHypothesis:
+    """An effect of the catalogue that the recordings tell of by themselves, with its size."""
 
     effect: str
     coordinates: Float[np.ndarray, "own"]  # in noticeable sizes
+    is_audited: bool = True  # or else it is a disturbance that was measured
+
+
+def measured_disturbances(layout: CoordinateLayout) -> list[FirstHypothesis]:
+    """The effects of a layout that surely act, since what they are made of was measured."""
+    return [
+        FirstHypothesis(effect.name, np.array(effect.usual_coordinates) / sizes, is_audited=False)
+        for effect, sizes in zip(layout.effects, layout.sizes, strict=True)
+        if effect.usual_coordinates
+    ]
 
 
 def audited_effects(
     vessel: Vessel, layout: CoordinateLayout, findings: Sequence[Finding], runs: int
-) -> list[AuditedEffect]:
+) -> list[FirstHypothesis]:
     """The effects of a layout that an audit of so many runs found, most often found first.
 
     A finding that may have another cause (it has a `doubt`) is no first hypothesis.
@@ -56,7 +68,7 @@ def audited_effects(
     for name, by_run in sorted(found.items(), key=lambda item: -len(item[1])):
         middle = _common_size(EFFECTS[name], np.stack(list(by_run.values())), runs)
         if middle is not None:
-            out.append(AuditedEffect(name, middle))
+            out.append(FirstHypothesis(name, middle))
     return out
 
 
@@ -94,20 +106,20 @@ def _common_size(
     return middle if is_one_size else None
 
 
-def judge_audited(
-    data: Split, current: Estimate, screening: Screening, audited: AuditedEffect
+def judge_first(
+    data: Split, current: Estimate, screening: Screening, first: FirstHypothesis
 ) -> AcceptedEffect | None:
-    """The effect beside the current ones, fitted from what the audit found; None if it fails.
+    """The effect beside the current ones, fitted from the size it came with; None if it fails.
 
     It must be physical and have the evidence that any name needs; held-out runs and free
-    predictions must not speak against it. That each run shows it by itself stands for the constancy
-    of its size, and for its lead over whatever else would explain the same.
+    predictions must not speak against it. That recordings tell of it by themselves stands for the
+    constancy of its size, and for its lead over whatever else would explain the same.
     """
-    candidate = screening.candidates.get(audited.effect)
+    candidate = screening.candidates.get(first.effect)
     if candidate is None:
         return None
     start = np.array(current.coordinates, float)
-    start[data.train.layout.indices((audited.effect,))] = audited.coordinates
+    start[data.train.layout.indices((first.effect,))] = first.coordinates
     asked = Refit(candidate, [Start.beside(current, start)])
     (one,) = refit_fully(data, current, [asked])
     listed = ShortList.of(data.train, [one])
