@@ -1,6 +1,8 @@
 """Esso Osaka, wind concealed: audit, diagnose, infer the wind of every run, then score it.
 
-python -m experiments.esso_osaka.run audit circles diagnosis wind
+And with the wind given, as an anemometer aboard gives it.
+
+python -m experiments.esso_osaka.run audit circles diagnosis wind given
 """
 
 import copy
@@ -76,7 +78,9 @@ SMOOTHED = ("u", "v")  # low-passed and late
 
 def main() -> None:
     """Run the parts that are named, all by default."""
-    run, parts = experiment_in_parts(__file__, __doc__, ["audit", "circles", "diagnosis", "wind"])
+    run, parts = experiment_in_parts(
+        __file__, __doc__, ["audit", "circles", "diagnosis", "wind", "given"]
+    )
     pattern = "esso_osaka/recordings/*.csv"
     repaired = load(HERE, pattern, "mapping_repaired.toml")
     runs = spans(repaired, TRAIN | HELD_OUT | REST)
@@ -88,6 +92,8 @@ def main() -> None:
         _circles(run, repaired)
     if "diagnosis" in parts:
         _diagnosis(run, document, runs)
+    if "given" in parts:
+        _given_wind(run, runs)
     if "wind" in parts:
         record = {"from all channels": infer(document, runs, ())}
         record["without u and v"] = infer(document, runs, SMOOTHED)
@@ -155,6 +161,27 @@ def _diagnosis(run: Experiment, document: Table, runs: dict[str, Trajectory]) ->
         "PREDICTIONS": predictions_table({"": record["held_out"]["horizons"]}),
     }
     run.write_part("diagnosis", told(record) | {"wind": record["wind"]}, tables)
+
+
+def _given_wind(run: Experiment, runs: dict[str, Trajectory]) -> None:
+    """The diagnosis of the same recordings with the wind that was measured in them."""
+    used = {name: in_its_wind(run) for name, run in runs.items() if name not in REST}
+    record = study(Case("esso_osaka/given", document_of("esso_osaka"), used, tuple(HELD_OUT)))
+    tables = {
+        "GIVEN": names_table({"wind given": record}),
+        "GIVEN_PREDICTIONS": predictions_table({"": record["held_out"]["horizons"]}),
+    }
+    run.write_part("given", told(record), tables)
+
+
+def in_its_wind(run: Trajectory) -> Trajectory:
+    """The recording with the true wind that was measured, between its samples by components."""
+    table = pd.read_csv(DATA / "esso_osaka" / "measured_wind" / f"{Path(run.name).stem}.csv")
+    angle = table["wind_dir_true [rad]"]
+    parts = (table["wind_velo_true [m/s]"] * of(angle) for of in (np.cos, np.sin))
+    north, east = (np.interp(run.t, table["t [s]"], part) for part in parts)
+    wind = {"wind_speed": np.hypot(north, east), "wind_direction": np.arctan2(east, north)}
+    return dataclasses.replace(run, extra={**run.extra, **wind})
 
 
 # The wind asked for: one of its own in every run, nothing else added to the hull

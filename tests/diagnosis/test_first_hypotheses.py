@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from tests.diagnosis.small import DOCUMENT, usv
 from tests.oracle.blown import blown_run, gusty
+from tests.paths import ORACLE
 from tests.runs import varied
 
 from diffsea import EFFECTS, read_recording
@@ -16,8 +17,10 @@ from diffsea.diagnosis.verdict import judge_all_first, verdict_on
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
+from diffsea.identification.sufficiency import disturbances_measured
 from diffsea.progress import no_progress
 from diffsea.vessel.files import build
+from diffsea.workflows import fits
 
 
 pytestmark = pytest.mark.slow
@@ -78,7 +81,27 @@ def test_it_is_asked_where_every_recording_has_a_wind_and_the_file_no_superstruc
     table = recorded(3, SUPERSTRUCTURE)
     with_wind = trajectory(table, "a")
     without = trajectory({c: x for c, x in table.items() if "wind" not in c}, "b")
-    asked = lambda vessel, *runs: NAME in {one.name for one in candidate_effects(vessel, [*runs])}
-    assert asked(usv(), with_wind) and not asked(usv(), with_wind, without)
     stated = build(varied(DOCUMENT, effects=[{"name": "wind", "speed": 0.0, "direction": 0.0}]))
-    assert not asked(stated, with_wind)
+    for vessel, runs, found in (
+        (usv(), [with_wind], (NAME,)),
+        (usv(), [with_wind, without], ()),
+        (stated, [with_wind], ()),
+    ):
+        assert disturbances_measured(vessel, runs) == found
+        assert (NAME in {one.name for one in candidate_effects(vessel, runs)}) == bool(found)
+
+
+def test_a_fit_that_leaves_the_measured_wind_out_says_how_to_have_it(monkeypatch):
+    class Begun(Exception):
+        """All was said that is said before a fit."""
+
+    def begin(*given):
+        raise Begun
+
+    monkeypatch.setattr(fits, "identify", begin)
+    table = pd.DataFrame(recorded(3, SUPERSTRUCTURE))
+    for effects, told in (((), True), ((NAME,), False)):
+        lines: list[str] = []
+        with pytest.raises(Begun):
+            fits.fit(ORACLE / "usv.toml", [table], effects=effects, progress=lines.append)
+        assert any(line.endswith(f"left out: --effects {NAME}") for line in lines) == told

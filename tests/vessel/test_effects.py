@@ -1,6 +1,7 @@
 # pyright: reportArgumentType=false
 """Effects: absent at zero, with derivatives there, and the textbook's at finite size."""
 
+import dataclasses
 import functools
 
 import jax

@@ -22,7 +22,7 @@ from diffsea.identification.holdout import Split, held_out_coordinates
 from diffsea.statistics import block_sums
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import Effect
+from diffsea.vessel.effects import EFFECTS, Effect
 
 
 DETERMINED = 0.5  # share of a parameter's estimate that is due to the data
@@ -273,6 +273,17 @@ class FitVerdict:
         runs = {} if self.runs is None else self.runs.as_dict()
         numbers = {} if self.numbers is None else {"trial_numbers": {"p_value": self.numbers}}
         return {**runs, **numbers, "held_out": self.is_held_out, "reasons": self.reasons}
+
+
+def disturbances_measured(vessel: Vessel, recordings: Sequence[Trajectory]) -> tuple[str, ...]:
+    """Names of effects that surely act on a vessel without them, as all recordings measured it."""
+    return tuple(
+        effect.name
+        for effect in EFFECTS.values()
+        if effect.usual_coordinates
+        and effect.possible(vessel)
+        and not missing_channel(effect, vessel, recordings)
+    )
 
 
 def missing_channel(effect: Effect, vessel: Vessel, recordings: Sequence[Trajectory]) -> str:

@@ -242,9 +242,11 @@ def _replay_inputs(
     notes += [f"executed {', '.join(executed)} as measured"] if executed else []
     if commanded:
         notes.append(f"executed {', '.join(commanded)} reconstructed from the orders")
+    blows = bool(np.any(disturbance.wind_north) or np.any(disturbance.wind_east))
     if any(isinstance(force, MeasuredWind) for force in vessel.forces.values()):
-        blows = np.any(disturbance.wind_north) or np.any(disturbance.wind_east)
         notes.append("in the wind as measured" if blows else "in still air: no wind was measured")
+    elif blows:
+        notes.append("not in the wind that was measured: the vessel file has no wind without speed")
     acting = {
         channel: np.asarray(
             true_actuation(vessel, channel, jnp.asarray(run.t), jnp.asarray(values))

@@ -17,7 +17,7 @@ from diffsea.identification.study import (
     free_parameters,
     identify,
 )
-from diffsea.identification.sufficiency import FitVerdict
+from diffsea.identification.sufficiency import FitVerdict, disturbances_measured
 from diffsea.parameters import Parameter
 from diffsea.progress import Progress, Remark, counted, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
@@ -26,6 +26,7 @@ from diffsea.report.predictions import ComparedRun, horizon_table
 from diffsea.report.wording.caveats import side_sentences
 from diffsea.simulation.actuation import how_actuated
 from diffsea.simulation.order_units import order_doubts, with_usable_actuation
+from diffsea.vessel.effects import spoken_name
 from diffsea.vessel.files import (
     VesselFile,
     build,
@@ -179,6 +180,11 @@ def fit(
         for run in whole:
             for doubt in order_doubts(file.vessel, run, measured):
                 progress(Remark(f"{run.name}: {doubt}"))
+        for name in disturbances_measured(file.vessel, whole) if whole else ():
+            if name not in effects:
+                progress(
+                    Remark(f"{spoken_name(name)} was recorded and is left out: --effects {name}")
+                )
         progress(f"fitting {told}, {len(given.test)} held out")
         study = identify(file.vessel, [*given.recordings, *given.trials], settings, progress)
         source = f"{', '.join(study.values)} fitted to {told}"
