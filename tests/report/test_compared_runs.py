@@ -128,3 +128,17 @@ def test_what_was_executed_without_an_order_is_drawn():
     assert any(title.startswith("executed (deg): ") and "rudder" in title for title in titles)
     (line,) = [trace for trace in drawn.data if trace.name == "executed, rudder"]
     assert max(line.y) == pytest.approx(10.0)
+
+
+def test_the_wind_that_was_recorded_is_drawn_last_without_steps_of_a_turn(run):
+    assert "wind" not in compared_histories([("measured", run, LINE)], "run", 1000)[1]
+    whole = np.radians(350.0 + 0.05 * np.arange(601))
+    rows = np.where(np.arange(601) % 10, np.nan, 1.0)
+    extra = {"wind_speed": 6.0 * rows, "wind_direction": (whole % (2 * math.pi)) * rows}
+    windy = dataclasses.replace(run, extra=extra)
+    curves = [("measured", windy, LINE), ("model", predicted(run, 1.1), LINE)]
+    drawn, names = compared_histories(curves, "run", 1000)
+    assert names[-2:] == ["wind", "wind from"]
+    (speed,), (direction,) = (lines(drawn, f"y{len(names) - k}") for k in (1, 0))
+    assert len(speed.x) == 61 and set(speed.y) == {6.0}
+    assert np.ptp(direction.y) == pytest.approx(30.0, abs=0.1)

@@ -26,6 +26,10 @@ _PANELS = (
     ("u", "speed ahead u (m/s)", 1.0),
     ("v", "speed to starboard v (m/s)", 1.0),
 )
+_WIND = (
+    ("wind_speed", "wind (m/s)", 1.0),
+    ("wind_direction", "wind from (deg)", math.degrees(1.0)),
+)
 _ANGLES = {"rad": ("deg", math.degrees(1.0))}  # how orders are shown, by their unit
 
 Rows = dict[str, Float[np.ndarray, "row"]]
@@ -55,13 +59,13 @@ def compared_histories(
     curves: Sequence[Curve], group: str, most: int, units: Mapping[str, str] | None = None
 ) -> tuple[go.Figure, list[str]]:
     """Heading, yaw rate and speeds against time as far as recorded, how far off the position of
-    each prediction is, and orders; with the names of the panels.
+    each prediction is, orders and wind; with the names of the panels.
 
     Arguments: as of `compared_tracks`; `units` of orders by channel. Angles are in degrees,
     headings without steps of a turn.
     """
     panels = [*_motion_panels(curves, most), *_distance_panel(curves, most)]
-    panels += _order_panels(curves[0][1], most, units or {})
+    panels += [*_order_panels(curves[0][1], most, units or {}), *_wind_panels(curves[0], most)]
     margin = {"t": 24, "b": 36, "l": 48, "r": 8}
     drawn = plots.figure(hovermode="x", margin=margin, showlegend=False)
     for k, (_, title, lines, bounded) in enumerate(panels):
@@ -146,6 +150,22 @@ def _order_panels(run: Trajectory, most: int, units: Mapping[str, str]) -> list[
         ordered = any(unit_of[channel] == unit for channel in counted.commanded)
         what = "orders" if ordered else "executed"
         panels.append(Panel(what, f"{what}{in_unit}: {', '.join(names)}", lines))
+    return panels
+
+
+def _wind_panels(recorded: Curve, most: int) -> list[Panel]:
+    """Speed and direction of the true wind, where it was recorded."""
+    name, run, line = recorded
+    counted, panels = run.counted(), []
+    for channel, title, scale in _WIND:
+        series = np.asarray(counted.extra.get(channel, np.zeros(0)), float) * scale
+        has = np.flatnonzero(np.isfinite(series))
+        if not len(has):
+            continue
+        chosen = has[plots.evenly(len(has), most)]
+        shown = counted.t[chosen], series[chosen]
+        ((t, values),) = on_one_turn([shown]) if channel == "wind_direction" else (shown,)
+        panels.append(Panel(title.split(" (")[0], title, [(name, t, values, line)], bounded=True))
     return panels
 
 
