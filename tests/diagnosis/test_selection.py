@@ -11,9 +11,10 @@ from tests.diagnosis.small import DOCUMENT, STEADY, UNSTEADY, hypothesis, still_
 from tests.runs import random_steps
 
 from diffsea import EFFECTS, Finding, Trajectory, audit
-from diffsea.diagnosis import refits, selection
+from diffsea.diagnosis import elimination, refits
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
+from diffsea.diagnosis.elimination import ask_again, withdraw_outdone, withdraw_worsening
 from diffsea.diagnosis.first_hypotheses import FirstHypothesis, audited_effects
 from diffsea.diagnosis.record import summary
 from diffsea.diagnosis.refits import judge_exchanged, make_hypothesis
@@ -23,16 +24,13 @@ from diffsea.diagnosis.selection import (
     Deadline,
     Effort,
     Search,
-    ask_again,
     find_pair,
     forward_search,
     resume_stalled_fit,
-    withdraw_outdone,
-    withdraw_worsening,
 )
 from diffsea.diagnosis.verdict import explain, judge_all_first
 from diffsea.identification.fit import Start, estimate
-from diffsea.identification.free_predictions import ChanceOfLoss, relative_losses
+from diffsea.identification.free_predictions import ChanceOfLoss, MotionChange, relative_losses
 from diffsea.identification.holdout import exchanged_fit, split_data
 from diffsea.identification.problem import make_problem
 from diffsea.progress import no_progress
@@ -342,11 +340,11 @@ def test_names_that_make_the_motion_worse_together_are_withdrawn_from_the_last_o
 
     def change(split, before, after):
         assert before is found.nominal
-        loss = selection.MotionChange({20.0: 1.2}, {20.0: ChanceOfLoss(0.999, 0.999)})
+        loss = MotionChange({20.0: 1.2}, {20.0: ChanceOfLoss(0.999, 0.999)})
         return loss if second.name in after.free else dataclasses.replace(loss, ratio={20.0: 1.0})
 
     assert withdraw_worsening(data, found, no_progress) is found  # in truth, both are there
-    monkeypatch.setattr(selection, "motion_change", change)
+    monkeypatch.setattr(elimination, "motion_change", change)
     final = withdraw_worsening(data, found, no_progress)
     assert accepted_names(final) == (first.name,) and final.dropped[-1] == second.name
     assert second.name not in final.final.free and first.name in final.final.free

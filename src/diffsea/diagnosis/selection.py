@@ -1,8 +1,8 @@
-"""Stepwise selection of effects: forward, one after the other, and backward, asking for each again.
+"""Forward selection of effects: one after the other, or two together.
 
 Screening by score tests only makes a short list. Each of it is refitted from the prior and judged
 by evidence and by held-out data; accepted effects are added one at a time until nothing is left to
-explain or nothing explains it. What was accepted early is asked for again beside what came later.
+explain or nothing explains it. `elimination` asks for them again.
 """
 
 import math
@@ -23,8 +23,7 @@ from diffsea.diagnosis.refits import (
     refit_without,
 )
 from diffsea.diagnosis.screening import Screening, screen
-from diffsea.diagnosis.starts import start_beside, start_with_effects_of
-from diffsea.identification.estimates import ONE_SIDED_95, Estimate
+from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import Start
 from diffsea.identification.free_predictions import MotionChange, motion_change
 from diffsea.identification.holdout import Split, has_own_environment
@@ -129,13 +128,13 @@ def forward_search(
         tried = refit_candidates(data, now.final, now.final_screening, progress, among)
         if not now.searched:
             now = replace(now, short_list=tried)
-        best = _decide(data, now.final, tried, progress, effort.insists)
+        best = choose(data, now.final, tried, progress, effort.insists)
         if best is None and not effort.insists:
             break
         if best is None and (others := tried.left_behind()):
             progress("none of the likeliest causes holds; others are asked for")
             further = refit_candidates(data, now.final, now.final_screening, progress, others)
-            best = _decide(data, now.final, further, progress)
+            best = choose(data, now.final, further, progress)
             tried = tried if best is None else further
         if best is None:
             room = len(now.searched) < MOST_EFFECTS - 1
@@ -180,7 +179,7 @@ def find_pair(
         progress(f"no effect alone has one size in all the data; beside {named} another?")
         screening = screen(data.train, one.estimate)
         beside = refit_candidates(data, one.estimate, screening, progress)
-        other = _decide(data, one.estimate, beside, progress)
+        other = choose(data, one.estimate, beside, progress)
         if other is None:
             continue
         bare = refit_without(data.train, other.estimate, [one.effect], one.without)
@@ -209,7 +208,7 @@ def resume_stalled_fit(problem: Problem, current: Estimate, best: Hypothesis) ->
     return again if gained > OWED_TO_THE_FIT * best.deviance_drop else None
 
 
-def _decide(
+def choose(
     data: Split, current: Estimate, tried: ShortList, progress: Progress, insists: bool = True
 ) -> Hypothesis | None:
     """The hypothesis to believe of those tried beside a current model.
@@ -231,112 +230,3 @@ def _decide(
         return motion_change(data, one.estimate, other.estimate)
 
     return decide(tried, exchange, compare)
-
-
-def ask_again(
-    data: Split, found: Search, asked: tuple[AcceptedEffect, ...], progress: Progress
-) -> tuple[Search, bool]:
-    """Ask for some of the effects again; and whether another model came of it.
-
-    Without it, and with each of its near rivals instead: what was accepted was judged beside
-    others, while the effects of later ones were still in the data.
-    """
-    current, effects, dropped, changed = found.final, list(found.effects), [], False
-    for one in asked:
-        if current_budget().skips(f"asking again for {spoken_name(one.name)}"):
-            break
-        progress(f"is {spoken_name(one.name)} needed beside the others?")
-        bare = refit_without(data.train, current, [one.name], one.hypothesis.without)
-        again = _refit_with_rivals(data, bare, current, one)
-        tried = ShortList.of(data.train, again)
-        best = _decide(data, bare, tried, progress)
-        if current_budget().skips(f"asking again for {spoken_name(one.name)}"):
-            break  # fits were cut short
-        if best is None:
-            same = next((option for option in again if option.effect == one.name), None)
-            best = same if same is not None and same.still_stands(tried.needed) else None
-            stays = best is not None
-        else:
-            stays = best.effect == one.name and AcceptedEffect(best, tried).rivals == one.rivals
-        if best is None:
-            effects.remove(one)
-            dropped.append(one.name)
-            current, changed = bare, True
-        elif stays:
-            # As it was accepted, with the constancy that its size has beside the others.
-            hypothesis = replace(one.hypothesis, constancy=best.constancy)
-            effects[effects.index(one)] = replace(one, hypothesis=hypothesis)
-        else:
-            effects[effects.index(one)] = AcceptedEffect(best, tried)
-            changed = changed or best.effect != one.name
-            current = best.estimate
-    kept = replace(found, final=current, effects=tuple(effects), dropped=(*found.dropped, *dropped))
-    return kept, changed
-
-
-def _refit_with_rivals(
-    data: Split, bare: Estimate, current: Estimate, accepted: AcceptedEffect
-) -> list[Hypothesis]:
-    """An accepted effect and its near rivals, each fitted beside what is left without it."""
-    rivals = [accepted.hypothesis, *accepted.short_list.judged]
-    options = {one.effect: one for one in rivals if one.effect not in bare.free}
-
-    def refit(one: Hypothesis) -> Refit:
-        if one.effect == accepted.name:
-            return Refit(one.candidate, [Start.at(current)])
-        beside = Start.beside(bare, start_beside(data.train, bare, one))
-        free = (*bare.free, one.effect)
-        as_it_was = start_with_effects_of(data.train, one.estimate, bare, free)
-        return Refit(one.candidate, [beside, as_it_was])
-
-    return refit_fully(data, bare, [refit(one) for one in options.values()])
-
-
-def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progress) -> Search:
-    """Withdraw names that stood out no more than what is left does: both may have another cause.
-
-    A name stands out by its score or by what its fit gained, whichever is the more: a score at zero
-    may say little of a fit. The other effects are asked for without them. Two statistics whose
-    centre is far from zero differ by chance, as their variance of four times the centre says.
-    """
-    left = null.of_located(kept.final_screening.located_p_value)
-    strongest = max((cell.z**2 for cell in kept.final_screening.cells), default=0.0)
-
-    def is_outdone(statistic: float) -> bool:
-        chance = 2 * ONE_SIDED_95 * math.sqrt(statistic + strongest)
-        return statistic < strongest + chance
-
-    outdone = [one.name for one in kept.searched if is_outdone(one.hypothesis.statistic)]
-    if left >= ALPHA or not outdone:
-        return kept
-    if current_budget().skips("whether names stand out more than what is left"):
-        return kept
-    others = tuple(one for one in kept.effects if one.name not in outdone)
-    known = next(one.hypothesis.without for one in kept.effects if one.name in outdone)
-    bare = refit_without(data.train, kept.final, outdone, known)
-    rest = replace(kept, final=bare, effects=others)
-    rest, _ = ask_again(data, rest, rest.searched, progress)
-    screening = screen(data.train, rest.final)
-    return replace(rest, final_screening=screening, dropped=(*rest.dropped, *outdone))
-
-
-def withdraw_worsening(data: Split, kept: Search, progress: Progress) -> Search:
-    """Withdraw names, the last one first, until predictions are no worse than without any.
-
-    Each predicted the motion no worse than those before it, beyond chance and noticeably: several
-    that are each a little worse may be much worse together.
-    """
-    while kept.searched and not current_budget().skips("whether all names predict no worse"):
-        progress("does the vessel with all that was found move as the recorded one?")
-        if not motion_change(data, kept.nominal, kept.final).is_worse:
-            break
-        last = kept.searched[-1]
-        bare = refit_without(data.train, kept.final, [last.name], last.hypothesis.without)
-        kept = replace(
-            kept,
-            final=bare,
-            final_screening=screen(data.train, bare),
-            effects=tuple(one for one in kept.effects if one is not last),
-            dropped=(*kept.dropped, last.name),
-        )
-    return kept

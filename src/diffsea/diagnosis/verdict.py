@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from diffsea.budget import current_budget
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, NO_BOOTSTRAP, Bootstrap, bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect
+from diffsea.diagnosis.elimination import ask_again, withdraw_outdone, withdraw_worsening
 from diffsea.diagnosis.first_hypotheses import (
     FirstHypothesis,
     audited_effects,
@@ -22,10 +23,7 @@ from diffsea.diagnosis.selection import (
     Deadline,
     Effort,
     Search,
-    ask_again,
     forward_search,
-    withdraw_outdone,
-    withdraw_worsening,
 )
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import free_by_default
