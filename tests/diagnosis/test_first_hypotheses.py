@@ -19,8 +19,8 @@ from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
 from diffsea.identification.sufficiency import disturbances_measured
 from diffsea.progress import no_progress
-from diffsea.vessel.files import build
-from diffsea.workflows import fits
+from diffsea.vessel.files import build, dump
+from diffsea.workflows import fits, online
 
 
 pytestmark = pytest.mark.slow
@@ -105,3 +105,20 @@ def test_a_fit_that_leaves_the_measured_wind_out_says_how_to_have_it(monkeypatch
         with pytest.raises(Begun):
             fits.fit(ORACLE / "usv.toml", [table], effects=effects, progress=lines.append)
         assert any(line.endswith(f"left out: --effects {NAME}") for line in lines) == told
+
+
+def test_an_estimate_online_says_that_its_air_is_still(monkeypatch, tmp_path):
+    class Begun(Exception):
+        """All was said that is said before an estimate."""
+
+    def begin(*given):
+        raise Begun
+
+    monkeypatch.setattr(online, "_estimator_along", begin)
+    windy = varied(DOCUMENT, effects=[{"name": "wind", "C_Y": 0.9}])
+    for document, told in ((windy, True), (DOCUMENT, False)):
+        path, lines = tmp_path / "boat.toml", []
+        path.write_text(dump(document))
+        with pytest.raises(Begun):
+            online.online(path, trajectory(recorded(3, SUPERSTRUCTURE), "a"), progress=lines.append)
+        assert any("in still air" in line for line in lines) == told

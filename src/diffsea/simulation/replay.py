@@ -32,7 +32,7 @@ from diffsea.simulation.sensed_motion import has_sample_near, shown_motion, true
 from diffsea.trajectory import MOTION_CHANNELS, Outcome, Samples, Trajectory
 from diffsea.types import MeasuredDisturbance, State
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.forces import MeasuredWind
+from diffsea.vessel.forces import moves_in_measured_wind
 from diffsea.vessel.servo import OrderHistory, Response
 
 
@@ -243,7 +243,7 @@ def _replay_inputs(
     if commanded:
         notes.append(f"executed {', '.join(commanded)} reconstructed from the orders")
     blows = bool(np.any(disturbance.wind_north) or np.any(disturbance.wind_east))
-    if any(isinstance(force, MeasuredWind) for force in vessel.forces.values()):
+    if moves_in_measured_wind(vessel.forces):
         notes.append("in the wind as measured" if blows else "in still air: no wind was measured")
     elif blows:
         notes.append("not in the wind that was measured: the vessel file has no wind without speed")

@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+from collections.abc import Mapping
 from typing import ClassVar
 
 import equinox as eqx
@@ -113,6 +114,11 @@ class MeasuredWind(AbstractForce):
         )
         by_air = self.superstructure.by_air
         return by_air(*through_air(state, whole)) - by_air(*through_air(state, environment))
+
+
+def moves_in_measured_wind(forces: Mapping[str, AbstractForce]) -> bool:
+    """Whether a wind that was measured along a run is among the forces on a vessel."""
+    return any(isinstance(force, MeasuredWind) for force in forces.values())
 
 
 class EarthForce(AbstractForce):

@@ -29,13 +29,14 @@ from diffsea.identification.online.guarded import (
     run_online,
 )
 from diffsea.parameters import Parameter, named, parameter_meaning, parameter_unit
-from diffsea.progress import Progress, counted, no_progress
+from diffsea.progress import Progress, Remark, counted, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.report.pages.online import online_report
 from diffsea.simulation.order_units import with_usable_actuation
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import VesselFile
+from diffsea.vessel.forces import moves_in_measured_wind
 from diffsea.workflows.audits import Recording, Tabulated, as_recording, as_recordings
 from diffsea.workflows.inputs import as_vessel_file, provenance
 
@@ -164,6 +165,8 @@ def online(
     given = as_recording(recording, mapping)
     known = as_recordings(sound, mapping)
     given, *known = with_usable_actuation(file.vessel, [given, *known])
+    if moves_in_measured_wind(file.vessel.forces):
+        progress(Remark("online no wind is measured: the vessel is estimated as in still air"))
     follow, settings = _estimator_along(file, free, estimator, drift, memory)
     if estimator == "kalman":
         guess = Noise.of(noise_prior(file.vessel, make_dataset(file.vessel, known or [given])).mean)
