@@ -951,6 +951,15 @@ def test_faster_channels_on_a_slower_clock_and_angles_across_north():
     np.testing.assert_allclose(values["cmd_a"], [0.5, 1.5, 1.9])
 
 
+@pytest.mark.parametrize("name", ["wind_direction", "apparent_wind_angle"])
+def test_between_two_readings_of_a_wind_that_goes_round_lies_no_wind_from_behind(name):
+    t, rows = np.array([0.0, 1.0, 2.0]), np.array([0.4, 1.4])
+    wind = LogChannel("wind", t, np.radians([350.0, 10.0, 350.0]))
+    values, _ = join_channels({name: wind}, rows, False, "run")
+    off = np.degrees(np.angle(np.exp(1j * values[name])))
+    np.testing.assert_allclose(off, [-2.0, 2.0], atol=1e-9)
+
+
 def test_delays_move_stamps_and_repeated_stamps_become_one(dataflash, mapped):
     rows = [("ATT", (1_000_000 * i, 0, 0, 100 * i)) for i in range(6)]
     rows.insert(3, ("ATT", (2_000_000, 0, 0, 250)))

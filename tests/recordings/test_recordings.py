@@ -604,9 +604,12 @@ def test_coarsening_averages_noise_away():
     assert np.all(np.abs(rest) < 0.5)
 
 
-def test_wind_direction_is_averaged_on_the_circle():
-    new = resample(some_run(x=np.arange(6.0)), 1.0)
-    assert np.all((new.extra["wind_direction"] < 0.3) | (new.extra["wind_direction"] > 6.0))
+@pytest.mark.parametrize("channel", ["wind_direction", "apparent_wind_angle"])
+def test_the_angle_of_a_wind_is_averaged_on_the_circle(channel):
+    run = some_run(x=np.arange(6.0))
+    run = dataclasses.replace(run, extra={channel: run.extra["wind_direction"]})
+    new = resample(run, 1.0)
+    assert np.all((new.extra[channel] < 0.3) | (new.extra[channel] > 6.0))
 
 
 def test_resampling_refuses_senseless_intervals():
