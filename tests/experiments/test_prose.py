@@ -21,7 +21,7 @@ OF_NO_RESULT = {
     "blueboat": set(),
     "coverage": {"3000"},
     "design_sweep": {"540", "16.54"},
-    "esso_osaka": {"0.135", "0.520"},
+    "esso_osaka": {"0.135"},
     "estimate_check": set(),
     "kcs_marin": set(),
     "kvlcc2_hsva": set(),

@@ -441,9 +441,13 @@ def test_names_of_logs_are_understood():
         "yaw_rate [deg/s]": "r",
         "ruderwinkel": "rudder",
         "gyro.z [m]": "other",
+        "HDT_deg": "psi",
     }
     assert {name: suggest_labels(name).best for name in found} == found
     assert suggest_labels("yaw_rate_deg_s").unit == "deg/s"
+    assert [suggest_labels(f"{name}_ms").unit for name in ("windspeed", "boat_speed", "delay")] == [
+        "m/s", "m/s", "ms"
+    ]  # fmt: skip
     assert suggest_labels("torque [Nm]").unit == "?" and suggest_labels("speed (kn)").unit == "kn"
     assert (
         suggest_labels("Eng RPM").best == suggest_labels("Engine speed [rpm]").best == "propeller"

@@ -85,6 +85,7 @@ def test_degrees_knots_and_axes_of_a_file_are_its_mapping_s():
     [
         (("AWS_kn", "AWA_deg"), "kn"),
         (("wind_rel_ms", "wind_rel_deg"), "m/s"),
+        (("wind_app_speed_ms", "wind_app_angle_deg"), "m/s"),
         (("apparent wind speed [m/s]", "apparent wind angle [deg]"), "m/s"),
         (("wind_velo_relative_mid [m/s]", "wind_dir_relative_mid [deg]"), "m/s"),
     ],

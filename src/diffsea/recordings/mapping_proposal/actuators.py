@@ -90,7 +90,7 @@ def called_like_actuators(names: Iterable[str]) -> list[str]:
     """The columns of those names that drive the vessel, by what they are called."""
     suggestions = {name: suggest_labels(name) for name in names}
     turning = azimuth_columns(list(suggestions), suggestions)
-    azimuths = {column for one in turning for column in (one.power, one.angle)}
+    azimuths = {column for one in turning for column in one.columns}
     return [
         name
         for name, told in suggestions.items()
@@ -144,26 +144,30 @@ def _azimuths(runs: list[Trajectory], suggestions: dict[str, Suggestion]) -> lis
     found, columns = [], azimuth_columns(list(runs[0].commanded), suggestions)
     alone = len({one.name for one in columns}) == 1
     for one in columns:
-        others = {"force": one.angle, "angle": one.power}
-        for part, column in (("force", one.power), ("angle", one.angle)):
+        others, push = {"force": one.angle, "angle": one.power}, 0
+        parts = (("force", one.power), ("angle", one.angle), *one.realised.items())
+        for part, column in parts:
             suggestion, reason = suggestions[column], f"named like {others[part]!r}"
             values = np.concatenate([_finite(run, column) for run in runs])
-            unit, push = suggestion.unit if suggestion.unit in _FORCES else "", 0
+            unit = suggestion.unit if suggestion.unit in _FORCES else ""
             if part == "angle":
                 degrees = float(np.max(np.abs(values), initial=0.0)) > _WHOLE_TURN
                 unit = "deg" if suggestion.unit == "deg" or degrees else "rad"
                 place = one.place or ("aft" if alone else "")
-                if place:
+                if place and not push:  # what was realised pushes as what was ordered
                     push = _azimuth_push(runs[:_MOST_TRIED], one, place, unit)
+                if place:
                     reason += f"; taken to be {place} of amidships"
             else:
                 reason += "; taken as it stands: the vessel file states the unit"
                 reason += f', "{suggestion.unit}"' if suggestion.unit in ("rpm", "rev/s") else ""
             ordered, why, sure = _is_order(column, suggestion, runs)
-            role = f"{one.name}.{part}"
+            if column in one.realised.values():
+                ordered, why = False, "what was realised, beside an order"
+            role, acts = f"{one.name}.{part}", push if part == "angle" else 0
             reason = f"an azimuth thruster, {reason}; {why}"
             sure *= _PAIRED
-            found.append(ActuatorColumn(column, role, sure, unit, ordered, reason, push))
+            found.append(ActuatorColumn(column, role, sure, unit, ordered, reason, acts))
     return found
 
 

@@ -37,11 +37,18 @@ class AzimuthColumns(NamedTuple):
         name: the words that both have in common.
         power: of its shaft speed or thrust.
         angle: of its angle.
+        realised: of what was measured of an order, by `force` or `angle`, where not both were.
     """
 
     name: str
     power: str
     angle: str
+    realised: Mapping[str, str]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """All of them."""
+        return self.power, self.angle, *self.realised.values()
 
     @property
     def place(self) -> str:
@@ -70,8 +77,18 @@ def azimuth_columns(
         if of is not None:
             of.setdefault(_in_common(words), name)
     driven = orders | powers
+
+    def realised(kind: str, *called: str) -> dict[str, str]:
+        """Columns of an order's thruster that are no order, and no pair of their own."""
+        others = [(one, *called) for one in ("realised", "") if kind == "order"]
+        alone = [words for words in others if (words in powers) != (words in angles)]
+        parts = (("force", powers), ("angle", angles))
+        return {part: of[words] for words in alone for part, of in parts if words in of}
+
     return [
-        AzimuthColumns(re.sub(r"_(\d)", r"\1", "_".join(words[1:])), driven[words], angle)
+        AzimuthColumns(
+            re.sub(r"_(\d)", r"\1", "_".join(words[1:])), driven[words], angle, realised(*words)
+        )
         for words, angle in angles.items()
         if words in driven
     ]
