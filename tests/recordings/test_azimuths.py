@@ -70,5 +70,6 @@ def test_their_columns_are_orders_that_the_mapping_keeps_apart(tmp_path):
     assert columns["cmd_fore.force"].unit is None, "as the vessel file says"
     assert columns["cmd_fore.angle"].unit == "deg"
     assert columns["exec_fore.force"].column == "fore_rpm"
+    assert proposal.sure["exec_fore.force"] > 0.8
     assert not {"cmd_rudder", "cmd_propeller"} & set(columns)
     assert max(proposal.sure["cmd_fore.force"], proposal.sure["cmd_fore.angle"]) < SURE

@@ -115,12 +115,15 @@ def find_actuators(
         columns = [c for c in columns if c not in turning]
         if role == "rudder":  # a pulse of no length is no angle, and no mapping can say so
             columns = [c for c in columns if not any(_has_lost_pulses(run, c) for run in runs)]
-        for column in _order_and_answer(role, columns, suggestions, runs):
+        pair = _order_and_answer(role, columns, suggestions, runs)
+        for column in pair:
             verdicts = []
             if role in ("rudder", "propeller"):
                 verdicts = [_push_of(run, role, run.commanded[column]) for run in tried]
             chance = suggestions[column].weights[role]
-            found.append(_actuator(column, role, chance, suggestions[column], runs, verdicts))
+            beside = any(suggestions[one].ordered for one in pair if one != column)
+            told = suggestions[column]
+            found.append(_actuator(column, role, chance, told, runs, verdicts, beside))
     if len({one.role for one in found} & set(SIDES)) == 1:  # of one side alone: something else's
         found = [one for one in found if one.role not in SIDES]
     found = _with_sides(found, tried)
@@ -161,9 +164,9 @@ def _azimuths(runs: list[Trajectory], suggestions: dict[str, Suggestion]) -> lis
             else:
                 reason += "; taken as it stands: the vessel file states the unit"
                 reason += f', "{suggestion.unit}"' if suggestion.unit in ("rpm", "rev/s") else ""
-            ordered, why, sure = _is_order(column, suggestion, runs)
-            if column in one.realised.values():
-                ordered, why = False, "what was realised, beside an order"
+            is_realised = column in one.realised.values()
+            ordered, why, sure = _is_order(column, suggestion, runs, is_realised)
+            ordered = ordered and not is_realised
             role, acts = f"{one.name}.{part}", push if part == "angle" else 0
             reason = f"an azimuth thruster, {reason}; {why}"
             sure *= _PAIRED
@@ -264,9 +267,10 @@ def _actuator(
     suggestion: Suggestion,
     runs: list[Trajectory],
     verdicts: list[tuple[int, float]],
+    beside_order: bool = False,
 ) -> ActuatorColumn:
     """The column in a role that it has with some chance, with its unit and its push."""
-    ordered, reason, sure = _is_order(column, suggestion, runs)
+    ordered, reason, sure = _is_order(column, suggestion, runs, beside_order)
     values = np.concatenate([_finite(run, column) for run in runs])
     push, is_share = _vote(verdicts), _is_share(suggestion, values)
     if pulses.are_pulses(values):
@@ -314,9 +318,12 @@ def _rudder_by_pulses(
 
 
 def _is_order(
-    column: str, suggestion: Suggestion, runs: list[Trajectory]
+    column: str, suggestion: Suggestion, runs: list[Trajectory], beside_order: bool = False
 ) -> tuple[bool, str, float]:
-    """Whether the column holds orders, why, and how probable that is."""
+    """Whether the column holds orders, why, and how probable that is.
+
+    `beside_order` says that another of the same actuator is an order by its name.
+    """
     angle = suggestion.weights["rudder"] > NAMED
     if any(pulses.are_pulses(_finite(run, column)) for run in runs):
         return True, "pulse widths are orders", _SAID
@@ -331,6 +338,8 @@ def _is_order(
             return True, f"it jumps by up to {size} within one sample, as only orders do", _JUMPS
     if suggestion.ordered is not None:
         return suggestion.ordered, "so its name says", _SAID
+    if beside_order:
+        return False, "what was realised: the order is another column, by its name", _SAID
     if all(np.nanmax(run.commanded[column]) == np.nanmin(run.commanded[column]) for run in runs):
         return True, "it never changes, as orders may", _CONSTANT
     if not angle and _is_thrust(suggestion):
