@@ -105,8 +105,8 @@ END = "<!-- Written by docs/site/effects_page.py: change it there, or in the cat
 # What each effect is, in a sentence.
 WHAT = {
     "current": "The water flows steadily, the same everywhere.",
-    "wind": "A steady wind, or the one that was measured, pushes the superstructure; the drag of still air is "
-    "the hull's already.",
+    "wind": "A steady wind, or the one that was measured, pushes the superstructure; the drag of "
+    "still air is the hull's already.",
     "wave-force": "A force fixed in the earth swings about a mean: a swell, or a tow.",
     "shallow-water": "The bottom is near: added masses and damping grow.",
     "heading-offset": "The compass is turned by an angle, always or from some time on, or all that "
@@ -169,6 +169,8 @@ KEYS = {
         "C_X": f"coefficient of the force ahead; {_COEFFICIENT} 0.7",
         "C_Y": f"coefficient of the force to the side; {_COEFFICIENT} 0.85",
         "C_N": f"coefficient of the moment; {_COEFFICIENT} 0.1",
+        "C_NY": f"C_Y times the lever of the side force, forward of amidships, over the length; "
+        f"{_COEFFICIENT} 0",
         "frontal_area": f"seen from ahead; {_COEFFICIENT} beam times draught",
         "lateral_area": f"seen from the side; {_COEFFICIENT} length times draught",
     },
@@ -315,8 +317,8 @@ _KIND = "those with such channels."
 VESSELS = {
     "hard-iron": "`hard-iron:motors`, those with thrusters, whose motors are electric; "
     "`hard-iron:estimated` those, and others where the audit found it.",
-    "wind": "`wind:measured` and `wind:coefficients`, those whose file has no `wind` yet; the second not with "
-    "an environment per recording.",
+    "wind": "`wind:measured` and `wind:coefficients`, those whose file has no `wind` yet; the second "
+    "not with an environment per recording.",
     "shallow-water": "refused for a depth up to the draught.",
     "feedback-error": _KIND,
     **dict.fromkeys(

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 NAME = "wind:measured"
 FREE = ("X_u", "N_r")
 STEP, ROWS = 0.5, 121
-SUPERSTRUCTURE = {"C_X": 0.9, "C_Y": 0.6, "C_N": 0.05}
+SUPERSTRUCTURE = {"C_X": 0.9, "C_Y": 0.6, "C_N": 0.05, "C_NY": -0.08}
 NOISE = {"x": 0.05, "y": 0.05, "psi": 0.005, "u": 0.02, "v": 0.02, "r": 0.003}
 
 
@@ -69,7 +69,8 @@ def test_a_measured_wind_is_found_first_with_what_it_acts_on():
     assert now.audited == () and not now.searched
     assert verdict_on(now.effects, 1.0) == "explained"
     (found,) = data.train.layout.physical(NAME, now.final.coordinates)
-    assert found == pytest.approx(list(SUPERSTRUCTURE.values()), rel=0.25)
+    values = {key: float(value) for key, value in EFFECTS[NAME].decode(usv(), found).items()}
+    assert values == pytest.approx(SUPERSTRUCTURE, rel=0.25)
 
 
 def test_a_measured_wind_that_moves_nothing_is_not_believed():

@@ -37,7 +37,11 @@ def wind_force(hull: dict, values: dict):
         a, b = to_body(north, east, psi)
         a, b = a - u, b - v
         V, S = math.hypot(a, b), calm * math.hypot(u, v)
-        return kx * (V * a + S * u), ky * (V * b + S * v), -kn * 2 * (a * b - calm * u * v)
+        Y = ky * (V * b + S * v)
+        moment = -kn * 2 * (a * b - calm * u * v) + values.get("C_NY", 0.0) * q * side * L * (
+            V * b + S * v
+        )
+        return kx * (V * a + S * u), Y, moment
 
     return force
 

@@ -90,7 +90,7 @@ _OF_STEPS = {
     "positioning": ("x", "y", "heading"),
 }
 _FLOW = ("speed", "direction")
-_SUPERSTRUCTURE = ("frontal_area", "lateral_area", "C_X", "C_Y", "C_N")
+_SUPERSTRUCTURE = ("frontal_area", "lateral_area", "C_X", "C_Y", "C_N", "C_NY")
 _WAVE = ("bias", "amplitude", "frequency", "phase", "direction")
 _SENSORS = ("position", "heading", "velocity", "yaw_rate", "heading_offset", "gyro_bias", "delay")
 _OF_ESTIMATORS = {"kalman": "drift", "least-squares": "memory"}

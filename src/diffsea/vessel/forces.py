@@ -66,11 +66,12 @@ class Wind(AbstractForce):
     """Wind on the superstructure, quadratic in apparent wind, beyond the drag of still air.
 
     With the air's velocity relative to the vessel (u_a, v_a) and V its size,
-    `X = q A_F C_X V u_a`, `Y = q A_L C_Y V v_a`, `N = -q A_L L C_N 2 u_a v_a`,
+    `X = q A_F C_X V u_a`, `Y = q A_L C_Y V v_a`, `N = q A_L L (C_NY V v_a - 2 C_N u_a v_a)`,
     q = rho_air / 2: the cos, sin and sin-2-gamma laws of Isherwood-type coefficients
-    (Fossen 2021, eq. 10.23): C_N > 0 turns the bow away from a wind on the bow. The same forces
-    in still air are subtracted: drag measured in a calm, which the hull's derivatives stand for,
-    contains them already.
+    (Fossen 2021, eq. 10.23): C_N > 0 turns the bow away from a wind on the bow. C_NY is C_Y times
+    the lever of the side force, forward of amidships, over the length (Blendermann 1994). The same
+    forces in still air are subtracted: drag measured in a calm, which the hull's derivatives stand
+    for, contains them already.
     """
 
     frontal_area: Scalar  # m^2
@@ -79,6 +80,7 @@ class Wind(AbstractForce):
     C_X: Scalar = 0.7
     C_Y: Scalar = 0.85
     C_N: Scalar = 0.1
+    C_NY: Scalar = 0.0
     air_density: Scalar = 1.225  # kg/m^3
 
     def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
@@ -91,10 +93,11 @@ class Wind(AbstractForce):
         # The small constant keeps the speed differentiable in a calm at rest.
         speed = jnp.sqrt(u_a**2 + v_a**2 + 1e-12)
         q = 0.5 * self.air_density
+        across = q * self.lateral_area * speed * v_a
         return Force(
             q * self.frontal_area * self.C_X * speed * u_a,
-            q * self.lateral_area * self.C_Y * speed * v_a,
-            -q * self.lateral_area * self.length * self.C_N * 2 * u_a * v_a,
+            self.C_Y * across,
+            self.length * (self.C_NY * across - q * self.lateral_area * self.C_N * 2 * u_a * v_a),
         )
 
 

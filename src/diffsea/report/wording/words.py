@@ -19,6 +19,7 @@ SYMBOLS = {
     "C_X": "wind coefficient ahead",
     "C_Y": "wind coefficient abeam",
     "C_N": "wind coefficient in yaw",
+    "C_NY": "moment of the wind coefficient abeam",
     "Y_phi": "sway force from heel",
     "N_phi": "yaw moment from heel",
     "Y_vdot - X_udot": "added mass, sway less surge",

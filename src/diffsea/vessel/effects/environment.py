@@ -35,7 +35,7 @@ CURRENT_SIZE = 0.3  # m/s
 WIND_SIZE = 5.0  # m/s
 MEASURED_WIND = "measured-wind"  # the force
 environment_effect = functools.partial(entry, "environment")
-_SUPERSTRUCTURE_KEYS = ("frontal_area", "lateral_area", "C_X", "C_Y", "C_N")
+_SUPERSTRUCTURE_KEYS = ("frontal_area", "lateral_area", "C_X", "C_Y", "C_N", "C_NY")
 
 
 def _components(unit: str, size: OfVessel, of: str = "") -> tuple[Size, Size]:
@@ -169,19 +169,20 @@ def wind_and_coefficients(vessel: Vessel, at: CoordinateValues) -> Vessel:
     Size("C_X", "1", 0.25, (0.0, 5.0), positive=True),
     Size("C_Y", "1", 0.3, (0.0, 5.0), positive=True),
     Size("C_N", "1", 0.05, (-1.0, 1.0)),
+    Size("C_NY", "1", 0.05, (-1.0, 1.0)),
     phrase="the measured wind on a superstructure with C_X {C_X}, C_Y {C_Y} and C_N {C_N}",
     confusables=wind.confusables,
     possible=lambda vessel: "wind" not in vessel.forces,
     needs="wind_direction",
-    usual_coordinates=(Wind.C_X, Wind.C_Y, Wind.C_N),
+    usual_coordinates=(Wind.C_X, Wind.C_Y, Wind.C_N, 0.0),
     nearly=True,
 )
 def measured_wind(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """The law of `wind` with the true wind that was measured all along, and coefficients on areas
-    as large above the water as below.
+    as large above the water as below, the side force acting anywhere (Blendermann 1994).
     """
-    C_X, C_Y, C_N = at
-    found = dataclasses.replace(superstructure(vessel), C_X=C_X, C_Y=C_Y, C_N=C_N)
+    keys = ("C_X", "C_Y", "C_N", "C_NY")
+    found = dataclasses.replace(superstructure(vessel), **dict(zip(keys, at, strict=True)))
     return with_force(vessel, MEASURED_WIND, MeasuredWind(found))
 
 
