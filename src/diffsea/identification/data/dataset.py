@@ -157,7 +157,8 @@ def make_dataset(
     """Lay recordings on a data set of at least this shape, spare rows and runs empty.
 
     Recordings sampled much faster than the vessel moves are thinned to about 0.3 sqrt(L / g), all
-    rows that hold a slowly sampled channel kept; over the rows between, orders and measured
+    rows that hold a slowly sampled channel kept, and a value of each other channel in every such
+    time that has one; over the rows between, orders and measured
     actuation are averaged. A servo meets orders at their own times, as `orders_given` has them.
 
     Raises:
@@ -227,10 +228,7 @@ def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows
         )
     time = time_scale(float(vessel.rigid_body.length))
     every = _rows_in_one(median_interval(t) / time)
-    # One row in so many, and those with a value of a channel that is sampled slowly.
-    given = np.isfinite(motion)
-    slow = (given.sum(0) * every < 1.5 * len(given)) & (every > 1)
-    keep = np.flatnonzero((np.arange(len(given)) % every == 0) | given[:, slow].any(1))
+    keep = _rows_kept(np.isfinite(motion), every)
     if len(keep) < LEAST_ROWS:
         raise UserError(
             f"{recording.name}: {t[-1] - t[0]:.3g} s are too short to estimate anything, "
@@ -315,6 +313,25 @@ def _with_lead_ins(
     place = np.searchsorted(np.arange(len(t)), before)
     row = np.insert(np.arange(len(t)), place, before)
     return row, np.insert(np.zeros(len(t)), place, np.concatenate(ahead))
+
+
+def _rows_kept(given: Bool[np.ndarray, "time 6"], every: int) -> Int[np.ndarray, "row"]:
+    """One row in so many, and what channels would lose that have no value in each row.
+
+    Of a channel that is sampled slowly all values; of another the first of each block of so many
+    rows in which none would be kept, as where sensors write rows by turns.
+    """
+    rows = np.arange(len(given))
+    keep = rows % every == 0
+    if every == 1:
+        return rows
+    slow = given.sum(0) * every < 1.5 * len(given)
+    keep |= given[:, slow].any(1)
+    for channel in given.T:
+        blocks, first = np.unique(rows[channel] // every, return_index=True)
+        lost = ~np.isin(blocks, rows[channel & keep] // every)
+        keep[rows[channel][first[lost]]] = True
+    return np.flatnonzero(keep)
 
 
 def _rows_in_one(step: float) -> int:
