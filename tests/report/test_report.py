@@ -55,7 +55,11 @@ from diffsea.report.quantities import (
 from diffsea.report.wording import words
 from diffsea.report.wording.horizons import horizon_line
 from diffsea.report.wording.terminal import verdict_text
-from diffsea.report.wording.verdicts import single_step_sentence, unimproved_sentence
+from diffsea.report.wording.verdicts import (
+    single_step_sentence,
+    unimproved_sentence,
+    verdict_sentence,
+)
 from diffsea.report.wording.words import phrase
 from diffsea.vessel.files import build
 
@@ -674,10 +678,21 @@ def test_fit_page_of_a_start_that_diverges():
 def test_rivals_of_what_was_found_are_told_where_something_is_left():
     summary = summary_of("ambiguous") | {"verdict": "unexplained"}
     text = " ".join(verdict_text(summary).split())
-    assert "or else wind: they cannot tell which), which the model leaves out, and someth" in text
+    told = "(or else wind: these recordings cannot tell which), which the model leaves out, and som"
+    assert told in text
     assert "; odds over 1e6 : 1; wind would do as well" in text
     alone = " ".join(verdict_text(summary_of("explained")).split())
     assert "would do as well" not in alone and "or else" not in alone
+
+
+def test_what_would_do_as_well_as_one_of_several_stands_behind_that_one():
+    summary = summary_of("ambiguous")
+    (current,) = summary["effects"]
+    sure = current | {"name": "gyro-bias", "parameters": {}, "alternatives": []}
+    told = verdict_sentence(summary | {"effects": [current, sure]})
+    assert "(or else wind: these recordings cannot tell which) and" in told
+    first = verdict_sentence(summary | {"effects": [sure, current]})
+    assert first.endswith("(or else wind: these recordings cannot tell which).")
 
 
 def test_verdict_text_of_each_verdict():

@@ -47,17 +47,14 @@ def verdict_sentence(summary: Record) -> str:
     if summary["verdict"] == "insufficient":
         why = enumeration([Shortfall(one).sentence for one in summary["insufficient"]])
         return f"The recordings do not tell whether the model lacks anything: {why}."
-    what = enumeration(phrases(effects))
-    names = dict.fromkeys(name for one in effects for name in one.get("alternatives", []))
-    rivals = enumeration([as_words(name) for name in names], "or") if names else ""
+    what = enumeration(phrases(effects, with_rivals=True))
     if summary["verdict"] == "unexplained":
-        instead = f" (or else {rivals}: they cannot tell which)" if rivals else ""
         return (
-            f"The recordings show {what}{instead}, which the model leaves out, and something else "
+            f"The recordings show {what}, which the model leaves out, and something else "
             "that has no name here."
         )
-    if summary["verdict"] == "ambiguous" and rivals:
-        return f"The model leaves out {what}, or else {rivals}: these recordings cannot tell which."
+    if summary["verdict"] == "ambiguous":
+        return f"The model leaves out {what}."
     return f"The recordings show {what}, which the model leaves out."
 
 

@@ -136,13 +136,26 @@ def _actuator_words(names: Sequence[str]) -> list[str]:
     return [word(name) for name in names] or ["actuators"]
 
 
-def phrases(effects: list[Record]) -> list[str]:
-    """What was found, a phrase each; several delays of sensors are one."""
+def phrases(effects: list[Record], with_rivals: bool = False) -> list[str]:
+    """What was found, a phrase each; several delays of sensors are one.
+
+    With those `with_rivals` that would explain the same, in brackets.
+    """
     late = [one for one in effects if one["name"] == _LATE and "recording" not in one]
     together = late if len(late) > 1 else []
-    told = [_late_together(together)] if together else []
+    told = [(_late_together(together), together)] if together else []
     others = [one for one in effects if one not in together]
-    return told + [_group_phrase(group).rstrip(",") for group in effect_groups(others)]
+    told += [(_group_phrase(group).rstrip(","), group) for group in effect_groups(others)]
+    if not with_rivals:
+        return [text for text, _ in told]
+    return [text + _or_else(of) for text, of in told]
+
+
+def _or_else(effects: list[Record]) -> str:
+    """What would explain the same as effects that were found, in brackets; empty for nothing."""
+    names = dict.fromkeys(name for one in effects for name in one.get("alternatives", []))
+    rivals = enumeration([as_words(name) for name in names], "or") if names else ""
+    return f" (or else {rivals}: these recordings cannot tell which)" if rivals else ""
 
 
 def _late_together(late: list[Record]) -> str:
