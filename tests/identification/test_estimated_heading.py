@@ -30,6 +30,9 @@ from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.compiles
+
+
 USV = load(ORACLE / "usv.toml")
 FULL = {"ahead": 250.0, "astern": 180.0}  # N, of either motor
 STEP, SECONDS = 0.1, 120.0

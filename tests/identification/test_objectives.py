@@ -24,7 +24,7 @@ from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build, default_priors
 
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.compiles]
 
 
 HULL = ("X_u", "X_uu", "Y_v", "N_r", "N_rdot")

@@ -7,6 +7,9 @@ import diffsea
 from diffsea.missions import mission_of, run, scores
 
 
+pytestmark = pytest.mark.compiles
+
+
 NOISE = {"position": 0.05, "heading": 0.004, "velocity": 0.01, "yaw_rate": 0.002}
 ESTIMATED = {"kind": "kalman", "free": ["X_u", "N_r"]}
 

@@ -25,6 +25,9 @@ from diffsea.simulation.designs import Grid
 from diffsea.workflows.missions import run_battery
 
 
+pytestmark = pytest.mark.compiles
+
+
 POSES = ((0.0, 0.0, 0.0, 0.0), (12.0, 2.0, -1.5, 0.6), (20.0, 2.0, -1.5, 0.6))
 
 

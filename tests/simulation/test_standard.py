@@ -15,6 +15,9 @@ from diffsea.simulation.control import full_throttle, speed_for, throttle_for, t
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.compiles
+
+
 DRAG, LAG = 20.0, 5.0  # N s/m, and s of mass over drag
 
 

@@ -14,7 +14,7 @@ from diffsea.studies.handling import handling
 from diffsea.vessel.files import build
 
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.compiles]
 
 
 @pytest.fixture(scope="module")
