@@ -56,13 +56,14 @@ def test_what_was_measured_of_one_order_alone_belongs_to_it(names, realised):
     assert first.columns == (*names[:2], *realised.values())
 
 
-def test_their_columns_are_orders_that_the_mapping_keeps_apart(tmp_path):
+@pytest.mark.parametrize("span", [1, 6], ids=["at-once", "lagging"])
+def test_their_columns_are_orders_that_the_mapping_keeps_apart(span, tmp_path):
     produce(tmp_path, load(ORACLE / "boat.toml"), 5, seconds=60.0, rate=4.0, runs=["random-fast"])
     motion = pd.read_csv(tmp_path / "random-fast.csv")[["t", "x", "y", "psi", "u", "v", "r"]]
     levels = np.random.default_rng(0).uniform(-1, 1, (len(motion) // 8 + 1, 2))
     steps = np.repeat(levels, 8, axis=0)[: len(motion)]
     foreign = motion.assign(fore_rpm_order=1500 * steps[:, 0], fore_angle_order=120 * steps[:, 1])
-    foreign["fore_rpm"] = foreign["fore_rpm_order"].ewm(span=6).mean()
+    foreign["fore_rpm"] = foreign["fore_rpm_order"].ewm(span=span).mean()
     foreign.to_csv(tmp_path / "foreign.csv", index=False)
     proposal = propose_mapping(tmp_path / "foreign.csv")
     columns = proposal.mapping.channels

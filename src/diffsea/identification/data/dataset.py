@@ -319,7 +319,7 @@ def _rows_kept(given: Bool[np.ndarray, "time 6"], every: int) -> Int[np.ndarray,
     """One row in so many, and what channels would lose that have no value in each row.
 
     Of a channel that is sampled slowly all values; of another the first of each block of so many
-    rows in which none would be kept, as where sensors write rows by turns.
+    rows, which stands in another row where sensors write rows by turns.
     """
     rows = np.arange(len(given))
     keep = rows % every == 0
@@ -328,9 +328,8 @@ def _rows_kept(given: Bool[np.ndarray, "time 6"], every: int) -> Int[np.ndarray,
     slow = given.sum(0) * every < 1.5 * len(given)
     keep |= given[:, slow].any(1)
     for channel in given.T:
-        blocks, first = np.unique(rows[channel] // every, return_index=True)
-        lost = ~np.isin(blocks, rows[channel & keep] // every)
-        keep[rows[channel][first[lost]]] = True
+        _, first = np.unique(rows[channel] // every, return_index=True)
+        keep[rows[channel][first]] = True
     return np.flatnonzero(keep)
 
 
