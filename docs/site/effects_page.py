@@ -317,8 +317,8 @@ _KIND = "those with such channels."
 VESSELS = {
     "hard-iron": "`hard-iron:motors`, those with thrusters, whose motors are electric; "
     "`hard-iron:estimated` those, and others where the audit found it.",
-    "wind": "`wind:measured` and `wind:coefficients`, those whose file has no `wind` yet; the second "
-    "not with an environment per recording.",
+    "wind": "`wind:measured` and `wind:coefficients`, those whose file has no `wind` yet; the "
+    "second not with an environment per recording.",
     "shallow-water": "refused for a depth up to the draught.",
     "feedback-error": _KIND,
     **dict.fromkeys(
