@@ -11,8 +11,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+from diffsea.runtime import prepare_jax
+
 
 HERE = Path(__file__).resolve().parent
+prepare_jax()  # before jax is imported, or its XLA flags would come too late
 
 from experiments.esso_osaka import circles
 from experiments.harness.diagnosis_tables import (
