@@ -229,7 +229,9 @@ def recorded_shares(vessel: Vessel, recording: Trajectory) -> dict[str, Samples]
 
 
 def measured_disturbance(recording: Trajectory) -> MeasuredDisturbance:
-    """Means over the rows that count, missing samples interpolated; zero where not measured."""
+    """Heel and true wind: means over each row that counts until the next, missing samples
+    interpolated; zero where not measured.
+    """
     run = recording.counted()
 
     def over_each_row(series: Samples) -> Samples:

@@ -51,9 +51,7 @@ _SINE = re.compile(r"(?:(?<![A-Za-z])sin|Sin|(?<![A-Z])SIN)(?:(e|E)(?![a-zA-Z])|
 
 # Weights are prior probabilities, set on the names of published data sets.
 _SINGLE_LETTER = 0.3  # what a letter's weight is lessened by beside words: it is often an index
-_UNSUGGESTED = 0.075 / len(
-    LABELS
-)  # the weight of a label that a name of known words does not suggest
+_UNSUGGESTED = 0.075 / len(LABELS)  # the weight of a label that known words do not suggest
 _UNINFORMATIVE = 0.875 / len(LABELS)  # the weight of every label for a name that says nothing
 _WRONG_DIMENSION = 0.03  # factor on a label's weight where the unit is of another dimension
 NAMED = 0.5  # the weight of a label above which a name is believed
