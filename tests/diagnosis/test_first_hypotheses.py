@@ -11,13 +11,13 @@ from tests.paths import ORACLE
 from tests.runs import varied
 
 from diffsea import EFFECTS, read_recording
-from diffsea.diagnosis.first_hypotheses import measured_disturbances
+from diffsea.diagnosis.first_hypotheses import certain_effects
 from diffsea.diagnosis.screening import candidate_effects, screen
 from diffsea.diagnosis.verdict import judge_all_first, verdict_on
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
-from diffsea.identification.sufficiency import disturbances_measured
+from diffsea.identification.sufficiency import unmodelled_disturbances
 from diffsea.progress import no_progress
 from diffsea.vessel.files import build, dump
 from diffsea.workflows import fits, online
@@ -58,7 +58,7 @@ def judged(superstructure):
 
     data = split_data(problem_of, runs[:1], runs[1:], False)
     nominal = estimate(data.train, FREE)
-    first = measured_disturbances(data.train.layout)
+    first = certain_effects(data.train.layout)
     assert [one.effect for one in first] == [NAME]
     return data, judge_all_first(data, nominal, screen(data.train, nominal), first, no_progress)
 
@@ -88,7 +88,7 @@ def test_it_is_asked_where_every_recording_has_a_wind_and_the_file_no_superstruc
         (usv(), [with_wind, without], ()),
         (stated, [with_wind], ()),
     ):
-        assert disturbances_measured(vessel, runs) == found
+        assert unmodelled_disturbances(vessel, runs) == found
         assert (NAME in {one.name for one in candidate_effects(vessel, runs)}) == bool(found)
 
 

@@ -43,7 +43,7 @@ class FirstHypothesis:
     is_audited: bool = True  # or else it is a disturbance that was measured
 
 
-def measured_disturbances(layout: CoordinateLayout) -> list[FirstHypothesis]:
+def certain_effects(layout: CoordinateLayout) -> list[FirstHypothesis]:
     """The effects of a layout that surely act, since what they are made of was measured."""
     return [
         FirstHypothesis(effect.name, np.array(effect.usual_coordinates) / sizes, is_audited=False)

@@ -10,8 +10,8 @@ from diffsea.diagnosis.elimination import ask_again, withdraw_outdone, withdraw_
 from diffsea.diagnosis.first_hypotheses import (
     FirstHypothesis,
     audited_effects,
+    certain_effects,
     judge_first,
-    measured_disturbances,
     names_found,
 )
 from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
@@ -132,7 +132,7 @@ def diagnose(
     null = bootstrap(data.train, nominal, draws, progress) if draws else NO_BOOTSTRAP
     runs = len(recordings) + len(test)
     layout = data.train.layout
-    first = audited_effects(vessel, layout, findings, runs) + measured_disturbances(layout)
+    first = audited_effects(vessel, layout, findings, runs) + certain_effects(layout)
     begun = judge_all_first(data, nominal, screening, first, progress, deadline)
     return explain(data, begun, null, progress, deadline, effort)
 

@@ -275,8 +275,8 @@ class FitVerdict:
         return {**runs, **numbers, "held_out": self.is_held_out, "reasons": self.reasons}
 
 
-def disturbances_measured(vessel: Vessel, recordings: Sequence[Trajectory]) -> tuple[str, ...]:
-    """Names of effects that surely act on a vessel without them, as all recordings measured it."""
+def unmodelled_disturbances(vessel: Vessel, recordings: Sequence[Trajectory]) -> tuple[str, ...]:
+    """Names of effects that surely act, as all recordings measured, and that a vessel lacks."""
     return tuple(
         effect.name
         for effect in EFFECTS.values()

@@ -17,7 +17,7 @@ from diffsea.identification.study import (
     free_parameters,
     identify,
 )
-from diffsea.identification.sufficiency import FitVerdict, disturbances_measured
+from diffsea.identification.sufficiency import FitVerdict, unmodelled_disturbances
 from diffsea.parameters import Parameter
 from diffsea.progress import Progress, Remark, counted, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
@@ -180,7 +180,7 @@ def fit(
         for run in whole:
             for doubt in order_doubts(file.vessel, run, measured):
                 progress(Remark(f"{run.name}: {doubt}"))
-        for name in disturbances_measured(file.vessel, whole) if whole else ():
+        for name in unmodelled_disturbances(file.vessel, whole) if whole else ():
             if name not in effects:
                 progress(
                     Remark(f"{spoken_name(name)} was recorded and is left out: --effects {name}")
