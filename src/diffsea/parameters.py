@@ -313,12 +313,20 @@ _MEANINGS = {
     "Y_rdot": "added mass, sway and yaw",
     "N_vdot": "added mass, yaw and sway",
 }
+_MEANINGS_OF_PARTS = {  # by the name within an actuator
+    "k_T.0": "thrust coefficient at rest",
+    "kappa": "speeding up of the slipstream at the rudder",
+    "astern_factor": "thrust astern over ahead",
+}
 
 
 def parameter_meaning(name: str) -> str:
     """A hull parameter in words: `N_rr` is quadratic damping in yaw."""
     if name in _MEANINGS:
         return _MEANINGS[name]
+    part, _, own = name.partition(".")
+    if own in _MEANINGS_OF_PARTS:
+        return f"{part}, {_MEANINGS_OF_PARTS[own]}"
     match = re.fullmatch(r"([XYN])_([uvrd]+)", name)
     if match is None:
         return name.replace(".", ", ").replace("_", " ")

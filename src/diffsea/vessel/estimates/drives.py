@@ -28,6 +28,11 @@ KNOWN_THRUST_WIDTH = 0.15  # of a stated full thrust
 TOP_SPEED_WIDTHS = {True: 0.1, False: 0.3}  # by whether the top speed is known
 MAX_ANGLE = math.radians(35)
 K_T = (0.40, -0.33, -0.10)  # about Wageningen B4-55 at pitch ratio 0.9
+K_T_WIDTH = 0.25  # of K_T at rest: pitch ratios of 0.7 to 1.2 in the same series
+DIAMETER_WIDTH = 0.15  # of a diameter that is not known
+# How far the slipstream has sped up at the rudder: by momentum theory half in the disc, wholly far
+# behind it. The middle of both, each a standard deviation away.
+KAPPA, KAPPA_WIDTH = math.sqrt(0.5), 0.5 * math.log(2)
 PROPELLER_SHARE = 0.65  # of the draught
 THRUST_DEDUCTION = 0.16
 BOAT_RUDDER = 50  # L T over the area of a boat's rudder
@@ -236,12 +241,14 @@ class RudderDrive:
         inflow = (1 - wake) * outline.top_speed
         thrust = drag_at(outline.top_speed, hull) / ((1 - THRUST_DEDUCTION) * outline.water_density)
         holds = f"holds the top speed of {outline.top_speed:.3g} m/s"
-        D, of_D = self.diameter, "as given"
+        D, of_D, widths = self.diameter, "as given", {"k_T.0": K_T_WIDTH, "astern_factor": ASTERN_WIDTH}
         n, of_n = self.shaft_speed, "rev/s, as given"
         if D is None and n is not None:
             D, of_D = _diameter(n, inflow, thrust), holds
         elif D is None:
             D, of_D = PROPELLER_SHARE * outline.draught, "assumed: 0.65 of the draught"
+        if self.diameter is None:
+            widths["diameter"] = DIAMETER_WIDTH
         if n is None:
             n, of_n = _shaft_speed(D, inflow, thrust), f"rev/s, {holds}"
         table: dict[str, object] = {
@@ -251,19 +258,21 @@ class RudderDrive:
             "k_T": list(K_T),
             "wake_fraction": wake,
             "thrust_deduction": THRUST_DEDUCTION,
+            "astern_factor": ASTERN,
             "max_speed": n,
             "min_speed": -ASTERN_SPEED * n,
         }
         reasons = {
             "x": "assumed",
-            "diameter": f"{of_D}; its prior stands for the thrust's",
-            "k_T": "about Wageningen B4-55 at pitch ratio 0.9",
+            "diameter": of_D,
+            "k_T": "about Wageningen B4-55 at pitch ratio 0.9; the first one, its pitch, is free",
             "wake_fraction": "0.5 C_B - 0.05 (Taylor)",
             "thrust_deduction": "assumed",
+            "astern_factor": "assumed: K_T at rest astern over ahead",
             "max_speed": of_n,
             "min_speed": "assumed",
         }
-        return Part("propeller", table, reasons, {"diameter": 0.15})
+        return Part("propeller", table, reasons, widths)
 
     def _rudder(self, outline: Outline, propeller: str | None) -> Part:
         L, B, T = outline.length, outline.beam, outline.draught
@@ -288,12 +297,15 @@ class RudderDrive:
             "max_angle": "rad, assumed: 35 deg",
             "lift_slope": "6.13 A / (A + 2.25) at aspect ratio A (Fujii)",
         }
+        widths = {"area": 0.4 if propeller else 0.7}
         if propeller is not None:
-            table["propeller"] = propeller
+            table |= {"propeller": propeller, "kappa": KAPPA}
+            reasons["kappa"] = "slipstream: half sped up in the disc, wholly far behind"
+            widths["kappa"] = KAPPA_WIDTH
         if outline.is_streamlined:
             more, told = _interaction(outline)
             table, reasons = table | more, reasons | told
-        return Part("rudder", table, reasons, {"area": 0.4 if propeller else 0.7})
+        return Part("rudder", table, reasons, widths)
 
 
 def _interaction(outline: Outline) -> tuple[dict[str, object], dict[str, str]]:
