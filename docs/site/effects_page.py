@@ -296,7 +296,11 @@ KEYS = {
     "munk-moment": {
         "Y_vdot - X_udot": "beyond that of `[hull]`; the key stands in quotes in the file",
     },
-    "mass-change": {"mass": "taken on; negative for put down", "time": _TIME},
+    "mass-change": {
+        "mass": "taken on; negative for put down",
+        "time": _TIME,
+        "x": "where it lies, forward of amidships; without it amidships",
+    },
     "drag-change": {"factor": "relative change: 0.2 is a fifth more", "time": _TIME},
     "roll-coupling": {"Y_phi": "force by heel", "N_phi": "moment by heel"},
 }
@@ -348,7 +352,7 @@ VESSELS = {
     "speed-dependent-damping": "those with a `[hull]` in SI units and without the derivatives.",
     "added-mass-coupling": "those with `Y_rdot` and `N_vdot` zero.",
     "munk-moment": 'those with `added_mass_coriolis = "full"`, as is usual.',
-    "mass-change": "those without one; refused at a second time.",
+    "mass-change": "those whose file has none; a file may have several.",
 }
 
 

@@ -269,7 +269,7 @@ _UNITS_OF_PARTS |= dict.fromkeys(
     ("lever_x", "lever_y", "velocity_lever_x", "velocity_lever_y"), "m"
 )
 _UNITS_OF_PARTS |= dict.fromkeys(("area", "frontal_area", "lateral_area"), "m^2")
-_UNITS_OF_PARTS |= dict.fromkeys(("time_constant", "delay", "payload_time"), "s")
+_UNITS_OF_PARTS |= dict.fromkeys(("time_constant", "delay"), "s")
 _UNITS_OF_PARTS |= {
     f"latency_{channel}": "s" for channel in ("position", "heading", "velocity", "yaw_rate", "axes")
 }
@@ -278,7 +278,7 @@ _UNITS_OF_PARTS |= dict.fromkeys(
 )
 _UNITS_OF_PARTS |= dict.fromkeys(("fading_speed", "reference_speed"), "m/s")
 _UNITS_OF_PARTS |= {f"{of}_{to}": "m/s" for of in ("current", "wind") for to in ("north", "east")}
-_UNITS_OF_PARTS |= {"gyro_bias": "rad/s", "payload": "kg", "air_density": "kg/m^3"}
+_UNITS_OF_PARTS |= {"gyro_bias": "rad/s", "air_density": "kg/m^3"}
 _UNITS_OF_PARTS |= {"full_thrust": "N", "with_speed": "s/m", "in_turns": "s/rad"}
 
 

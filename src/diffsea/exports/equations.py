@@ -127,7 +127,7 @@ def equations_of(vessel: Vessel) -> Equations:
     for name, force in vessel.dependent_forces.items():
         if not (isinstance(force, ShallowDamping) and is_absent(vessel.environment.shallowness)):
             left_out.append(f"the force {name!r}")
-    if not is_absent(body.payload):
+    if any(not is_absent(load.mass) for load in body.loads):
         left_out.append("the mass taken on or lost during a run")
     if not is_absent(vessel.environment.shallowness):
         left_out.append("shallow water")

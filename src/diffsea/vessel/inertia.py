@@ -10,6 +10,14 @@ from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.forces import AbstractForce, Force, step
 
 
+class Load(eqx.Module):
+    """A point of mass that is taken on in the run."""
+
+    mass: Scalar  # kg, negative: put down
+    time: Scalar  # s of the run
+    x: Scalar = 0.0  # m forward of amidships
+
+
 class RigidBody(eqx.Module):
     """Mass properties and main dimensions."""
 
@@ -20,21 +28,24 @@ class RigidBody(eqx.Module):
     beam: Scalar = 1.0  # m
     draught: Scalar = 1.0  # m
     water_density: Scalar = 1025.0  # kg/m^3
-    payload: Scalar = 0.0  # kg, taken on amidships (negative: lost) ...
-    payload_time: Scalar = 0.0  # s, ... at this time of the run
+    loads: tuple[Load, ...] = ()
 
     def at(self, t: Scalar) -> "RigidBody":
         """The body with what it carries at time `t` (s) of the run.
 
-        The payload is amidships, so that neither the moment m x_G nor the inertia about the
-        midship origin changes: x_G and I_z follow from that.
+        x_G and I_z follow from the moments and inertias about amidships (Steiner).
         """
-        if is_absent(self.payload):
+        loads = [load for load in self.loads if not is_absent(load.mass)]
+        if not loads:
             return self
-        mass = self.mass + self.payload * step(t, self.payload_time, self.length)
-        moment = self.mass * self.x_G
+        mass, moment = self.mass, self.mass * self.x_G
+        inertia = self.I_z + moment * self.x_G
+        for load in loads:
+            taken = load.mass * step(t, load.time, self.length)
+            mass, moment = mass + taken, moment + taken * load.x
+            inertia = inertia + taken * load.x**2
         x_G = moment / mass
-        I_z = self.I_z + moment * (self.x_G - x_G)
+        I_z = inertia - moment * x_G
         return eqx.tree_at(lambda b: (b.mass, b.x_G, b.I_z), self, (mass, x_G, I_z))
 
     def coriolis(self, water: State) -> Force:

@@ -2,14 +2,21 @@
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 
 from diffsea.scales import GRAVITY, froude_speed
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, ANY, Bound, Onset, Size
+from diffsea.vessel.effects.coordinates import (
+    ALL_LOST_AT_MOST,
+    ANY,
+    Bound,
+    Coefficient,
+    Onset,
+    Size,
+)
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
     Effect,
@@ -17,10 +24,12 @@ from diffsea.vessel.effects.entry import (
     add_force,
     add_to,
     entry,
+    read_table,
     with_force,
 )
 from diffsea.vessel.hull import Change, CrossFlowDrag, Damping, PrimeDamping, RollCoupling
-from diffsea.vessel.inertia import MunkMoment
+from diffsea.vessel.inertia import Load, MunkMoment
+from diffsea.vessel.tables import Table
 
 
 hull_effect = functools.partial(entry, "hull")
@@ -30,6 +39,7 @@ LEVER_SHARE = 0.05  # of the length: a load at one end, or another origin than a
 # The buoyancy of a box lies at most L / 6 off amidships while both its ends are wet; a quarter
 # leaves room for other shapes and for an origin that is not amidships.
 LEVER_BOUND = 0.25  # of the length
+LOAD_PLACE = 0.2  # of the length: standard deviation of where a load lies, from amidships
 _LATERAL = ("Y_vv", "Y_vr", "Y_rr", "Y_vvv", "Y_vvr", "N_vv", "N_vr", "N_rrv", "N_vvr")
 _LIFT = {"Y_ur": "N s^2/(m rad)", "N_ur": "N s^2/rad", "Y_uv": "N s^2/m^2", "N_uv": "N s^2/m"}
 
@@ -235,37 +245,54 @@ def munk_moment(vessel: Vessel, at: CoordinateValues) -> Vessel:
     return add_force(vessel, "munk-moment", MunkMoment(at[0]))
 
 
-def _payload_refusal(vessel: Vessel, numbers: dict[str, float]) -> str:
-    """Why a second change of mass cannot be stated: a vessel has one time of it."""
-    body = vessel.rigid_body
-    if float(body.payload) != 0 and float(body.payload_time) != numbers.get("time", 0.0):
-        return "a vessel file can hold changes of mass at one time only"
-    return ""
+def _read_mass_change(
+    vessel: Vessel, table: Table, variants: Sequence[Effect], where: str
+) -> Vessel:
+    """A load amidships, or at the `x` that a table states."""
+    amidships, placed = variants
+    return read_table(vessel, table, [placed if "x" in table else amidships], where, ("x",))
 
 
-@hull_effect(
-    "mass-change",
-    Size(
-        "mass",
-        "kg",
-        lambda vessel: 0.1 * float(vessel.rigid_body.mass),
-        # Less than half of itself is another vessel, and more than twice itself sinks it.
-        lambda vessel: (
-            -0.5 * float(vessel.rigid_body.mass),
-            float(vessel.rigid_body.mass),
+def _mass_change(name: str, phrase: str, *place: Coefficient) -> Effect:
+    @hull_effect(
+        name,
+        Size(
+            "mass",
+            "kg",
+            lambda vessel: 0.1 * float(vessel.rigid_body.mass),
+            # Less than half of itself is another vessel, and more than twice itself sinks it.
+            lambda vessel: (
+                -0.5 * float(vessel.rigid_body.mass),
+                float(vessel.rigid_body.mass),
+            ),
         ),
-    ),
-    Onset(),
-    phrase="a mass that is {mass:size} {mass:larger|smaller} from {time:size} on",
-    confusables=("drag-change", "thrust-change"),
-    possible=lambda vessel: float(vessel.rigid_body.payload) == 0,
-    refusal=_payload_refusal,
-)
-def mass_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
-    """Rigid-body mass m + mass from `time` on the run's clock, amidships, I_z unchanged."""
-    payload = vessel.rigid_body.payload + at[0]
-    return eqx.tree_at(
-        lambda v: (v.rigid_body.payload, v.rigid_body.payload_time), vessel, (payload, at[1])
+        Onset(),
+        *place,
+        phrase=phrase,
+        confusables=("drag-change", "thrust-change", "added-mass-coupling"),
+        possible=lambda vessel: not vessel.rigid_body.loads,
+        read=_read_mass_change,
+    )
+    def mass_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
+        """Rigid-body mass m + mass from `time` on the run's clock, a point at x: it adds mass x
+        to the moment m x_G, and mass x^2 to the inertia about amidships.
+        """
+        load = Load(at[0], at[1], at[2] if place else 0.0)
+        loads = (*vessel.rigid_body.loads, load)
+        return eqx.tree_at(lambda v: v.rigid_body.loads, vessel, loads)
+
+    return mass_change
+
+
+def _load_place() -> Coefficient:
+    """Where a load lies (m), tried at both ends as well."""
+    half = lambda vessel: 0.5 * float(vessel.rigid_body.length)
+    return Coefficient(
+        "x",
+        "m",
+        lambda vessel: LOAD_PLACE * float(vessel.rigid_body.length),
+        lambda vessel: (-half(vessel), half(vessel)),
+        trials=(-1.5, 1.5),
     )
 
 
@@ -301,7 +328,15 @@ HULL = (
     *_one_by_one(_LIFT, _speed_dependent_damping)[:-1],  # N_uv alone is a Munk moment
     *_one_by_one({"Y_rdot": "kg m", "N_vdot": "kg m", "x_G": "m"}, _added_mass_coupling),
     munk_moment,
-    mass_change,
+    _mass_change(
+        "mass-change", "a mass that is {mass:size} {mass:larger|smaller} from {time:size} on"
+    ),
+    _mass_change(
+        "mass-change:placed",
+        "a mass that is {mass:size} {mass:larger|smaller} from {time:size} on, {x:size} "
+        "{x:ahead of|aft of} amidships",
+        _load_place(),
+    ),
     drag_change,
     *_one_by_one({"Y_phi": "N/rad", "N_phi": "N m/rad"}, _roll_coupling),
 )
