@@ -18,7 +18,7 @@ quadratic-damping, sway-yaw-coupling, speed-dependent-damping, added-mass-coupli
 munk-moment           N += size u_r v_r, the size named "Y_vdot - X_udot"
 roll-coupling         Y += Y_phi phi, N += N_phi phi, phi(t) given to the simulator as `heel`
 drag-change           derivative damping and cross-flow drag x (1 + factor) from `time`
-mass-change           mass more at amidships from `time`, the velocity unbroken
+mass-change           mass more at x (amidships) from `time`, the velocity unbroken
 thrust-change         forces of thrusters and propellers, or of some, x (1 + factor) from `time`
 thrust-lag, thrust-delay, deadband, backlash, actuator-bias: added to the channel's own
 actuator-response     thrust-delay, thrust-lag, rate-limit, as far as its keys are given
@@ -95,7 +95,7 @@ class Model:
     sensors: list[dict] = field(default_factory=list)
     drag_steps: list[tuple[float, float]] = field(default_factory=list)  # time, factor
     thrust_steps: list[tuple[float, float, list[str] | None]] = field(default_factory=list)
-    mass_steps: list[tuple[float, float]] = field(default_factory=list)  # time, kg more
+    mass_steps: list[tuple[float, float, float]] = field(default_factory=list)  # s, kg more, m
     crossflow: float = 0.0  # cd
     shallow: float = 0.0  # draught / depth
     heel: Callable[[float], float] | None = None  # phi(t) [rad]
@@ -159,7 +159,7 @@ def apply(model: Model, data: dict[str, list[dict]], effect: dict) -> None:
         changed = values["time"], 1.0 + values["factor"], values.get("actuators")
         model.thrust_steps.append(changed)
     elif name == "mass-change":
-        model.mass_steps.append((values["time"], values["mass"]))
+        model.mass_steps.append((values["time"], values["mass"], values.get("x", 0.0)))
     elif name in SENSORS:
         model.sensors.append(effect)
     else:

@@ -41,9 +41,14 @@ def inertia(hull: dict) -> list[list[float]]:
     ]
 
 
-def loaded(M, mass: float) -> list[list[float]]:
-    """M with a point mass [kg] more at amidships: neither x_G m nor the yaw inertia change."""
-    return [[M[0][0] + mass, 0.0, 0.0], [0.0, M[1][1] + mass, M[1][2]], list(M[2])]
+def loaded(M, loads) -> list[list[float]]:
+    """M with point masses more, each (kg, m forward of amidships)."""
+    mass, first, second = (sum(m * x**k for m, x in loads) for k in range(3))
+    return [
+        [M[0][0] + mass, 0.0, 0.0],
+        [0.0, M[1][1] + mass, M[1][2] + first],
+        [M[2][0], M[2][1] + first, M[2][2] + second],
+    ]
 
 
 def impulse(M, u: float, v: float, r: float) -> tuple[float, float, float]:

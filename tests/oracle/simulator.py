@@ -165,7 +165,7 @@ class Simulator:
         def factor(steps):
             return math.prod(1.0 + (f - 1.0) * self.share(t, when) for when, f in steps)
 
-        aboard = sum(m * self.share(t, when) for when, m in model.mass_steps)
+        aboard = [(m * self.share(t, when), x) for when, m, x in model.mass_steps]
         late = [self.share(t, when) for when, _ in model.late_forces]
         thrust = {
             a.name: factor(

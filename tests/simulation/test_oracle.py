@@ -411,13 +411,15 @@ def test_a_softened_change_approaches_the_sudden_one():
     np.testing.assert_allclose(sim.at(t)["u"], t - 0.4 * share, atol=1e-10)
 
 
-def test_a_payload_amidships_makes_the_composite_body():
-    """m + dm, x_G m / (m + dm), and I_z about amidships unchanged (Steiner)."""
+@pytest.mark.parametrize("x", [0.0, -0.8])
+def test_a_load_makes_the_composite_body(x):
+    """m + dm, (x_G m + x dm) / (m + dm), and I_z by Steiner."""
     h, dm = BARE | {"x_G": 0.3, "Y_rdot": -0.5}, 6.0
-    x_g = 0.3 * 10 / 16
-    body = h | {"mass": 16.0, "x_G": x_g, "I_z": 4.0 + 10 * 0.09 - 16 * x_g**2}
-    np.testing.assert_allclose(H.loaded(H.inertia(h), dm), H.inertia(body), atol=1e-14)
-    a = simulate({"hull": h}, [(0, 0)], 6.0, {"mass-change": {"time": -1, "mass": dm}},
+    x_g = (0.3 * 10 + x * dm) / 16
+    I_z = 4.0 + 10 * (0.3 - x_g) ** 2 + dm * (x - x_g) ** 2
+    body = h | {"mass": 16.0, "x_G": x_g, "I_z": I_z}
+    np.testing.assert_allclose(H.loaded(H.inertia(h), [(dm, x)]), H.inertia(body), atol=1e-14)
+    a = simulate({"hull": h}, [(0, 0)], 6.0, {"mass-change": {"time": -1, "mass": dm, "x": x}},
                  (0, 0, 0, 1, 0.3, 0.5))  # fmt: skip
     b = simulate({"hull": body}, [(0, 0)], 6.0, state=(0, 0, 0, 1, 0.3, 0.5))
     np.testing.assert_allclose(a.states([6.0]), b.states([6.0]), atol=1e-11)

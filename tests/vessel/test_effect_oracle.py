@@ -147,6 +147,7 @@ CASES = [
     ("twin", "munk-moment", {"Y_vdot - X_udot": 60.0}),
     ("twin", "mass-change", {"time": 4.2, "mass": 60.0}),
     ("ship", "mass-change", {"time": 12.0, "mass": -900.0}),
+    ("twin", "mass-change", {"time": 4.2, "mass": 60.0, "x": -0.9}),
     ("twin with cross-flow", "drag-change", {"time": 4.2, "factor": 0.8}),
     ("twin", "roll-coupling", {"Y_phi": 300.0, "N_phi": 500.0}),
 ]  # fmt: skip
@@ -294,10 +295,14 @@ def test_a_slew_limit_above_the_actuator_s_own_leaves_that():
     assert disagreement(found, library_run(run, run.document)) < 1e-9
 
 
-def test_payloads_add_up():
+def test_loads_add_up_wherever_they_lie():
     run = RUNS["twin"]
-    half = {"name": "mass-change", "time": EARLY, "mass": 40.0}
-    document = varied(run.document, effects=[half, half])
+    loads = [
+        {"name": "mass-change", "time": EARLY, "mass": 40.0},
+        {"name": "mass-change", "time": EARLY, "mass": 40.0, "x": 1.1},
+        {"name": "mass-change", "time": EARLY - 1.0, "mass": -30.0, "x": -0.7},
+    ]
+    document = varied(run.document, effects=loads)
     assert disagreement(library_run(run, document), reference(run, document)) < 1e-6
 
 
