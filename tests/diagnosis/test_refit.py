@@ -379,6 +379,18 @@ def test_the_middle_of_the_added_mass_lies_in_the_hull(lever, possible):
     assert is_physical(problem, fitted, candidate(name, np.ones((3, 1)))) == possible
 
 
+@pytest.mark.parametrize(("x_G", "possible"), [(0.1, True), (-0.24, True), (-0.249, False)])
+def test_a_centre_of_gravity_is_not_held_by_its_bound(x_G, possible):
+    """`x_G` is in lengths: its bound is a quarter."""
+    name, vessel = "added-mass-coupling:x_G", usv()
+    problem = still_problem(name)
+    index = np.array(problem.layout.indices((name,)))
+    coordinates = np.zeros(problem.layout.size)
+    coordinates[index] = x_G * vessel.rigid_body.length / EFFECTS[name].sizes(vessel)[0]
+    fitted = dataclasses.replace(linear_estimate((name,)), coordinates=coordinates, index=index)
+    assert is_physical(problem, fitted, candidate(name, np.ones((3, 1)))) == possible
+
+
 @pytest.mark.parametrize(
     ("time", "possible"), [(-2.0, False), (0.0, False), (6.0, True), (19.2, False), (19.5, False)]
 )

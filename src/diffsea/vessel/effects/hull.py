@@ -39,6 +39,7 @@ LEVER_SHARE = 0.05  # of the length: a load at one end, or another origin than a
 # The buoyancy of a box lies at most L / 6 off amidships while both its ends are wet; a quarter
 # leaves room for other shapes and for an origin that is not amidships.
 LEVER_BOUND = 0.25  # of the length
+HELD = 0.99  # of the distance to a bound: a fit never quite reaches it
 LOAD_PLACE = 0.2  # of the length: standard deviation of where a load lies, from amidships
 _LATERAL = ("Y_vv", "Y_vr", "Y_rr", "Y_vvv", "Y_vvr", "N_vv", "N_vr", "N_rrv", "N_vvr")
 _LIFT = {"Y_ur": "N s^2/(m rad)", "N_ur": "N s^2/rad", "Y_uv": "N s^2/m^2", "N_uv": "N s^2/m"}
@@ -191,12 +192,14 @@ def _may_couple(vessel: Vessel) -> bool:
     In an ideal fluid they are one number (Newman 1977), and viscosity parts them by less than
     their size: of opposite signs they are what else is wrong with the motion. They are the added
     mass in sway times the distance of its middle from amidships: L / 4 if one half of the hull
-    had all of it.
+    had all of it. A centre of gravity that is held by its bound is what else is wrong, too.
     """
-    mass = vessel.added_mass
-    farthest = LEVER_BOUND * float(vessel.rigid_body.length) * abs(float(mass.Y_vdot))
+    body, mass = vessel.rigid_body, vessel.added_mass
+    lever = LEVER_BOUND * float(body.length)
     couplings = float(mass.Y_rdot), float(mass.N_vdot)
-    return couplings[0] * couplings[1] >= 0 and max(map(abs, couplings)) <= farthest
+    if couplings[0] * couplings[1] < 0 or abs(float(body.x_G)) > HELD * lever:
+        return False
+    return max(map(abs, couplings)) <= lever * abs(float(mass.Y_vdot))
 
 
 def _added_mass_coupling(variant: str, units: dict[str, str]) -> Effect:
