@@ -48,6 +48,7 @@ def test_units_and_meanings():
     )
     assert parameter_unit("rudder.N_d") == "" and parameter_unit("propeller.wake_fraction") == ""
     assert parameter_meaning("N_rr") == "quadratic damping in yaw"
+    assert parameter_meaning("propeller.k_T.0") == "propeller, thrust coefficient at rest"
     assert parameter_meaning("Y_vvr") == "sway force from v v r"
     assert parameter_meaning("N_v") == "yaw moment from v"
 

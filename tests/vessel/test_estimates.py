@@ -297,6 +297,18 @@ def test_full_ahead_holds_the_top_speed(known, drive, orders):
     assert thrust == pytest.approx(-drag, rel=1e-3)
 
 
+@pytest.mark.parametrize("diameter", [None, 1.2])
+def test_a_known_diameter_stays_and_pitch_slipstream_and_thrust_astern_are_free(diameter):
+    """The slipstream is half sped up in the disc and wholly far behind: one deviation each way."""
+    priors = written(Known("ship", 54.0, 11.1, 1.1e6, 3.3), RudderDrive(diameter=diameter)).priors
+    assert ("propeller.diameter" in priors) == (diameter is None)
+    assert {"propeller.k_T.0", "propeller.astern_factor", "rudder.area"} <= priors.keys()
+    kappa = priors["rudder.kappa"]
+    assert kappa is not None
+    within = kappa.value * np.exp(kappa.spread * np.array([-1.0, 1.0]))
+    np.testing.assert_allclose(within, [0.5, 1.0], rtol=2e-3)
+
+
 def test_a_known_thrust_at_a_known_speed_is_the_drag():
     outline = outline_of(dataclasses.replace(BOAT, top_speed=2.5))
     hull = hull_estimates(outline, 100.0)
