@@ -314,6 +314,7 @@ CHANNEL_UNITS = {
     "phi": "rad",
     "u": "m/s",
     "wind_direction": "rad",
+    "wind_speed": "m/s",
 }  # of channels that recordings must have
 
 # Which vessels are asked whether they have it, where not all are.
@@ -407,8 +408,10 @@ def section(name: str) -> str:
     for needed in dict.fromkeys(one.needs for one in entries if one.needs):
         needing = [f"`{one.name}`" for one in entries if one.needs == needed]
         of = "" if len(needing) == len(entries) else f", for {', '.join(needing)}"
-        unit = f", in {CHANNEL_UNITS[needed]}"
-        lines.append(f"Recordings: `{needed}` in every run (a column of that name{unit}){of}.")
+        channels = " and ".join(f"`{channel}`" for channel in needed)
+        units = " and ".join(CHANNEL_UNITS[channel] for channel in needed)
+        columns = "a column of that name" if len(needed) == 1 else "columns of those names"
+        lines.append(f"Recordings: {channels} in every run ({columns}, in {units}){of}.")
     if any(one.needs_feedback for one in entries):
         lines.append("Recordings: `exec_` of the channels in every run, measured.")
     if name in VESSELS:

@@ -82,10 +82,12 @@ def test_it_is_asked_where_every_recording_has_a_wind_and_the_file_no_superstruc
     table = recorded(3, SUPERSTRUCTURE)
     with_wind = trajectory(table, "a")
     without = trajectory({c: x for c, x in table.items() if "wind" not in c}, "b")
+    directed = trajectory({c: x for c, x in table.items() if c != "wind_speed"}, "c")
     stated = build(varied(DOCUMENT, effects=[{"name": "wind", "speed": 0.0, "direction": 0.0}]))
     for vessel, runs, found in (
         (usv(), [with_wind], (NAME,)),
         (usv(), [with_wind, without], ()),
+        (usv(), [directed], ()),
         (stated, [with_wind], ()),
     ):
         assert unmodelled_disturbances(vessel, runs) == found

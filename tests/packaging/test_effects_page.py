@@ -64,7 +64,8 @@ def test_an_effect_has_a_section_with_its_variants_and_what_resembles_it(name):
         assert effect.name == name or f"`{effect.name}`" in SECTIONS[name]
         for other in {*effect.confusables, *effect.parts} - {name}:
             assert f"[{other}](#{other})" in SECTIONS[name] and other in SECTIONS
-        assert not effect.needs or f"Recordings: `{effect.needs}`" in SECTIONS[name]
+        channels = " and ".join(f"`{one}`" for one in effect.needs)
+        assert not effect.needs or f"Recordings: {channels}" in SECTIONS[name]
         assert not effect.needs_feedback or "Recordings: `exec_`" in SECTIONS[name]
 
 

@@ -290,8 +290,9 @@ def missing_channel(effect: Effect, vessel: Vessel, recordings: Sequence[Traject
     """A channel that an effect must have measured and some recording lacks; empty where none."""
     for run in recordings:
         measured = {**run.extra, **run.motion}
-        if effect.needs and not np.isfinite(measured.get(effect.needs, np.nan)).any():
-            return effect.needs
+        for channel in effect.needs:
+            if not np.isfinite(measured.get(channel, np.nan)).any():
+                return channel
         for channel in effect.place.all_on(vessel) if effect.needs_feedback else ():
             if channel not in run.executed:
                 return f"exec_{channel}"

@@ -104,7 +104,7 @@ class Effect:
     parametrisation: Parametrisation | None = None
     place: Place = Place()
     per_run: bool = False  # whether each recording may have its own: a field of the environment
-    needs: str = ""  # channel beside position and heading that recordings must have
+    needs: tuple[str, ...] = ()  # channels beside position and heading that runs must have
     needs_feedback: bool = False  # whether recordings must have measured what it acts on
     refusal: Callable[[Vessel, Numbers], str] | None = None  # why a file cannot state it, or ""
     read: "Callable[[Vessel, Table, Sequence[Effect], str], Vessel] | None" = None  # own table keys

@@ -173,7 +173,7 @@ def wind_and_coefficients(vessel: Vessel, at: CoordinateValues) -> Vessel:
     phrase="the measured wind on a superstructure with C_X {C_X}, C_Y {C_Y} and C_N {C_N}",
     confusables=wind.confusables,
     possible=lambda vessel: "wind" not in vessel.forces,
-    needs="wind_direction",
+    needs=("wind_speed", "wind_direction"),
     usual_coordinates=(Wind.C_X, Wind.C_Y, Wind.C_N, 0.0),
     nearly=True,
 )

@@ -310,7 +310,7 @@ def _roll_coupling(variant: str, units: dict[str, str]) -> Effect:
         *(Size(key, unit, functools.partial(size, key)) for key, unit in units.items()),
         phrase="a coupling of roll into sway and yaw",
         confusables=("sway-yaw-coupling", "speed-dependent-damping"),
-        needs="phi",
+        needs=("phi",),
     )
     def roll_coupling(vessel: Vessel, at: CoordinateValues) -> Vessel:
         """Y_phi phi and N_phi phi with phi the recorded heel: without a recording of it, the

@@ -105,7 +105,7 @@ class TurnedChannels(MeasuredChannels):
     phrase="a receiver whose positions and velocities arrive {delay:size} late",
     confusables=_LIKE_LATENCY,
     place=TurnedChannels(tuple(name for group in RECEIVER for name in LATENCY_CHANNELS[group])),
-    needs="u",
+    needs=("u",),
     read=_read_latency,
 )
 def late_receiver(vessel: Vessel, delay: CoordinateValues) -> Vessel:
