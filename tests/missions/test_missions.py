@@ -20,7 +20,7 @@ from diffsea.missions.running import setup
 from diffsea.missions.scores import approaches
 from diffsea.missions.surroundings import weather_series
 from diffsea.scales import HARD_OVER
-from diffsea.simulation.control import Course, LineOfSight, autopilot
+from diffsea.simulation.control import ConstantHeading, LineOfSight, autopilot
 
 
 pytestmark = pytest.mark.compiles
@@ -208,7 +208,7 @@ def boat_vessel():
 
 def test_water_that_is_a_function_of_time_acts_as_the_same_water_stated_once():
     vessel, start = boat_vessel(), state_of(u=1.0)
-    pilot = autopilot(vessel, 1.0, Course())
+    pilot = autopilot(vessel, 1.0, ConstantHeading())
     water = Environment(current_east=jnp.asarray(0.3))
     steady = run_controlled(vessel, pilot, start, 20.0, 0.2, 0.1, water).trajectory
     told = run_controlled(vessel, pilot, start, 20.0, 0.2, 0.1, lambda t: water).trajectory

@@ -10,7 +10,7 @@ import pytest
 from diffsea.report.histories import compared_histories, measured_rows
 from diffsea.report.pages.trial_marks import mark_crossings, mark_overshoots
 from diffsea.report.plots import figure
-from diffsea.report.tracks import Flow, compared_tracks
+from diffsea.report.tracks import DrawnFlow, compared_tracks
 from diffsea.trajectory import Trajectory
 
 
@@ -78,7 +78,7 @@ def test_names_of_channels_are_no_markup(run):
 
 def test_north_and_flows_are_arrows(run):
     curves = [("measured", run, LINE)]
-    notes = compared_tracks(curves, "run", 100, [Flow("current 0.3 m/s", math.pi / 2)])
+    notes = compared_tracks(curves, "run", 100, [DrawnFlow("current 0.3 m/s", math.pi / 2)])
     north, arrow, text = layout(notes).annotations
     assert north.text == "N" and north.ax == 0 and north.ay > 0  # from below to the top
     assert arrow.ax < -30 and abs(arrow.ay) < 1e-9  # from the left: it flows to the east

@@ -17,8 +17,8 @@ from diffsea import Environment, Outcome, UserError, read_vessel, run_controlled
 from diffsea.simulation import planning
 from diffsea.simulation.control import (
     Autopilot,
+    ConstantHeading,
     ControlAllocation,
-    Course,
     FilteredPD,
     FixedThrottle,
     HeadingHold,
@@ -253,7 +253,9 @@ def test_a_closed_loop_agrees_with_scipy():
     """A heading step under a sampled PD law, the linear boat integrated by DOP853."""
     law = HeadingHold(1.0, gain=0.8, rate_gain=1.2, integral_gain=0.0)
     thrust = throttle_for(boat(), SPEED)
-    pilot = Autopilot(Steering(Course(0.5), law, FixedThrottle(thrust)), ControlAllocation(boat()))
+    pilot = Autopilot(
+        Steering(ConstantHeading(0.5), law, FixedThrottle(thrust)), ControlAllocation(boat())
+    )
     run = run_controlled(boat(), pilot, state_of(u=SPEED), 20.0, 0.5, 0.05).trajectory
     hull = SHIP["hull"]
     m11, m22 = hull["mass"] - hull["X_udot"], hull["mass"] - hull["Y_vdot"]

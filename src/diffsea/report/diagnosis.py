@@ -40,7 +40,7 @@ from diffsea.report.quantities import (
     typeset,
     with_error,
 )
-from diffsea.report.tracks import Flow
+from diffsea.report.tracks import DrawnFlow
 from diffsea.report.wording import caveats, findings, verdicts, words
 from diffsea.report.wording.words import Record
 
@@ -143,7 +143,7 @@ def diagnosis_report(
     )
 
 
-def flows(summary: Record) -> list[Flow]:
+def flows(summary: Record) -> list[DrawnFlow]:
     """Current and wind that were named with one size for all recordings, to be drawn as arrows.
 
     Arguments:
@@ -159,7 +159,7 @@ def flows(summary: Record) -> list[Flow]:
         comes_from = effect["name"] == "wind"
         speed = round_to_error(sizes["speed"]["value"], sizes["speed"].get("std"), "m/s")
         towards = sizes["direction"]["value"] + math.pi * comes_from
-        found.append(Flow(f"{effect['name']} {speed}", towards))
+        found.append(DrawnFlow(f"{effect['name']} {speed}", towards))
     return found
 
 

@@ -17,7 +17,7 @@ from diffsea.report import plots
 from diffsea.report.histories import Curve, compared_histories
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim
 from diffsea.report.quantities import is_known
-from diffsea.report.tracks import Flow, compared_tracks
+from diffsea.report.tracks import DrawnFlow, compared_tracks
 from diffsea.report.wording.horizons import diverged_predictions, two_digits
 from diffsea.report.wording.words import capital
 from diffsea.simulation.replay import horizon_errors, replay
@@ -164,7 +164,7 @@ def prediction_section(
     models: Mapping[str, str],
     most: int,
     worst: int | None,
-    flows: Sequence[Flow] = (),
+    flows: Sequence[DrawnFlow] = (),
 ) -> PredictionSection:
     """What models predict of runs from their first state and their orders alone.
 
@@ -233,7 +233,7 @@ def _error_row(row: dict[str, Any], models: Mapping[str, str]) -> list[str]:
 
 
 def _run_plots(
-    one: ComparedRun, models: Mapping[str, str], group: str, most: int, flows: Sequence[Flow]
+    one: ComparedRun, models: Mapping[str, str], group: str, most: int, flows: Sequence[DrawnFlow]
 ) -> RunPlots:
     """Track and histories of one run, as far as they were measured."""
     name, who = one.recording.name, " and ".join(models.values())

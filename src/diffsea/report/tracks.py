@@ -15,7 +15,7 @@ _ARROW = 34  # pixels, of an arrow of a flow
 _BELOW = 0.16  # of the picture's height, from one flow to the next
 
 
-class Flow(NamedTuple):
+class DrawnFlow(NamedTuple):
     """A current or a wind: what it is called with its speed, and the way it goes (rad)."""
 
     text: str
@@ -23,7 +23,7 @@ class Flow(NamedTuple):
 
 
 def compared_tracks(
-    curves: Sequence[Curve], group: str, most: int, flows: Sequence[Flow] = ()
+    curves: Sequence[Curve], group: str, most: int, flows: Sequence[DrawnFlow] = ()
 ) -> go.Figure:
     """Tracks from above, north up; the axes leave out what strays far from the measured one.
 
@@ -60,7 +60,7 @@ def add_north(drawn: go.Figure) -> go.Figure:
     )  # fmt: skip
 
 
-def _add_flow(drawn: go.Figure, flow: Flow, height: float) -> None:
+def _add_flow(drawn: go.Figure, flow: DrawnFlow, height: float) -> None:
     """An arrow that goes as the flow does, at the picture's left, and what it is."""
     tail = {"ax": -_ARROW * math.sin(flow.towards), "ay": _ARROW * math.cos(flow.towards)}
     place = {"xref": "paper", "yref": "paper", "y": height}

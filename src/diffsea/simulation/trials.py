@@ -11,8 +11,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.simulation.control import (
     AbstractSpeedLaw,
+    ConstantHeading,
     ControlAllocation,
-    Course,
     FixedThrottle,
     HeadingHold,
     SpeedHold,
@@ -89,7 +89,7 @@ def run_approach(
     scale = vessel.rigid_body.length / jnp.maximum(speed, 1e-6)
     fixed = FixedThrottle(throttle)
     speed_law = SpeedHold(speed, throttle, scale) if settings.hold_speed else fixed
-    hold = Steering(Course(zero), HeadingHold(scale), speed_law)
+    hold = Steering(ConstantHeading(zero), HeadingHold(scale), speed_law)
     needed = jnp.ceil(settings.steady_lengths * scale / step).astype(int)
 
     def is_steady(before: State, after: State) -> Bool[Array, ""]:

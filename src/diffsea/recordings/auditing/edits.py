@@ -259,7 +259,7 @@ def _turned_back(old: Channels, error: Samples, velocities: bool) -> Channels:
 
 
 @dataclasses.dataclass(frozen=True)
-class Step(ChannelEdit):
+class StepRemoval(ChannelEdit):
     """A channel less `size` after an instant (s)."""
 
     channel: str

@@ -12,7 +12,7 @@ from diffsea.simulation.control.autopilot import AbstractGuidance as AbstractGui
 from diffsea.simulation.control.autopilot import AbstractHeadingLaw as AbstractHeadingLaw
 from diffsea.simulation.control.autopilot import AbstractSpeedLaw as AbstractSpeedLaw
 from diffsea.simulation.control.autopilot import Autopilot as Autopilot
-from diffsea.simulation.control.autopilot import Course as Course
+from diffsea.simulation.control.autopilot import ConstantHeading as ConstantHeading
 from diffsea.simulation.control.autopilot import FilteredPD as FilteredPD
 from diffsea.simulation.control.autopilot import FixedThrottle as FixedThrottle
 from diffsea.simulation.control.autopilot import HeadingHold as HeadingHold

@@ -194,7 +194,7 @@ class AbstractGuidance(_Law[Memory]):
         return jnp.zeros((), bool)
 
 
-class Course(AbstractGuidance[Scalar]):
+class ConstantHeading(AbstractGuidance[Scalar]):
     """One heading for ever."""
 
     heading: Scalar = 0.0  # rad
@@ -353,5 +353,5 @@ def autopilot(
     """
     require_steering(vessel, "path under an autopilot")
     hold = HeadingHold(vessel.rigid_body.length / jnp.maximum(speed, 1e-6))
-    steering = Steering(guidance or Course(), heading or hold, speed_hold(vessel, speed))
+    steering = Steering(guidance or ConstantHeading(), heading or hold, speed_hold(vessel, speed))
     return Autopilot(steering, ControlAllocation(vessel))

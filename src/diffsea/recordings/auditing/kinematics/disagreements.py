@@ -16,7 +16,7 @@ from diffsea.recordings.auditing.edits import (
     Lever,
     OverGround,
     Shift,
-    Step,
+    StepRemoval,
     Turned,
 )
 from diffsea.recordings.auditing.finding import CAUSES, Finding, finding_of
@@ -230,7 +230,7 @@ def _heading_offset(found: Explanation) -> Finding:
 
 def _heading_step(jump: float, found: Explanation) -> Finding:
     value, std = found.theta["step"], found.std["step"]
-    by, edit = {"time": jump, "angle": value}, Step("psi", value, jump)
+    by, edit = {"time": jump, "angle": value}, StepRemoval("psi", value, jump)
     words = {"degrees": np.degrees(value), "time": jump}
     return finding_of("heading-step", ("psi",), value, std, words, edit, parameters=by)
 
