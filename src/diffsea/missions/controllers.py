@@ -23,7 +23,7 @@ from diffsea.simulation.control import (
     LineOfSight,
     Pursuit,
     Steering,
-    TimedCourse,
+    TimedHeading,
     TimedOrders,
     TimedSpeed,
     dynamic_pd,
@@ -117,7 +117,7 @@ def _guidance(mission: Mission, points: Points) -> AbstractGuidance:
     numbers, radius = mission.controller.numbers, radius_of(mission)
     if mission.controller.kind == "course":
         times, headings = ([getattr(one, n) for one in mission.steps] for n in ("time", "heading"))
-        return TimedCourse(jnp.array(times), jnp.array(headings))
+        return TimedHeading(jnp.array(times), jnp.array(headings))
     if mission.controller.kind == "pursuit":
         return Pursuit(points, radius)
     ahead = numbers.get("lookahead", LOOKAHEAD * mission.model.rigid_body.length)

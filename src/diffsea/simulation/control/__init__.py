@@ -31,7 +31,7 @@ from diffsea.simulation.control.lqr import track_keeper as track_keeper
 from diffsea.simulation.control.positioning import DynamicPositioning as DynamicPositioning
 from diffsea.simulation.control.positioning import dynamic_positioning as dynamic_positioning
 from diffsea.simulation.control.positioning import require_positioning as require_positioning
-from diffsea.simulation.control.timed import TimedCourse as TimedCourse
+from diffsea.simulation.control.timed import TimedHeading as TimedHeading
 from diffsea.simulation.control.timed import TimedOrders as TimedOrders
 from diffsea.simulation.control.timed import TimedSpeed as TimedSpeed
 from diffsea.simulation.control.trim import Trim as Trim

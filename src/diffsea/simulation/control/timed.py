@@ -22,7 +22,7 @@ def in_force(times: Steps, t: Scalar) -> Index:
     return jnp.maximum(jnp.sum(times <= t + 1e-9 * (1 + jnp.abs(t))) - 1, 0)
 
 
-class TimedCourse(AbstractGuidance[Scalar]):
+class TimedHeading(AbstractGuidance[Scalar]):
     """Headings by time. Memory: time since the start, s."""
 
     times: Steps  # s, ascending
