@@ -316,6 +316,8 @@ _MEANINGS = {
 _MEANINGS_OF_PARTS = {  # by the name within an actuator
     "k_T.0": "thrust coefficient at rest",
     "kappa": "speeding up of the slipstream at the rudder",
+    "gamma_R_port": "flow straightening, port",
+    "gamma_R_starboard": "flow straightening, starboard",
     "astern_factor": "thrust astern over ahead",
 }
 

@@ -298,11 +298,17 @@ def test_full_ahead_holds_the_top_speed(known, drive, orders):
 
 
 @pytest.mark.parametrize("diameter", [None, 1.2])
-def test_a_known_diameter_stays_and_pitch_slipstream_and_thrust_astern_are_free(diameter):
+@pytest.mark.parametrize("form", ["ship", "monohull"])
+def test_a_known_diameter_stays_and_pitch_slipstream_and_thrust_astern_are_free(form, diameter):
     """The slipstream is half sped up in the disc and wholly far behind: one deviation each way."""
-    priors = written(Known("ship", 54.0, 11.1, 1.1e6, 3.3), RudderDrive(diameter=diameter)).priors
+    file = written(Known(form, 54.0, 11.1, 1.1e6, 3.3), RudderDrive(diameter=diameter))
+    priors = file.priors
     assert ("propeller.diameter" in priors) == (diameter is None)
     assert {"propeller.k_T.0", "propeller.astern_factor", "rudder.area"} <= priors.keys()
+    straightened = file.document["rudder"][0]["gamma_R_port"]
+    for side in ("port", "starboard"):
+        prior = priors[f"rudder.gamma_R_{side}"]
+        assert prior is not None and prior.value == pytest.approx(straightened, rel=1e-3)
     kappa = priors["rudder.kappa"]
     assert kappa is not None
     within = kappa.value * np.exp(kappa.spread * np.array([-1.0, 1.0]))

@@ -33,9 +33,13 @@ DIAMETER_WIDTH = 0.15  # of a diameter that is not known
 # How far the slipstream has sped up at the rudder: by momentum theory half in the disc, wholly far
 # behind it. The middle of both, each a standard deviation away.
 KAPPA, KAPPA_WIDTH = math.sqrt(0.5), 0.5 * math.log(2)
+# Of gamma_R, the flow straightening: root mean square of ln(estimate / measured), both sides'
+# geometric mean, of KVLCC2 (0.21 for 0.50) and the KCS (0.50 for 0.41).
+STRAIGHTENING_WIDTH = 0.65
 PROPELLER_SHARE = 0.65  # of the draught
 THRUST_DEDUCTION = 0.16
 BOAT_RUDDER = 50  # L T over the area of a boat's rudder
+KIJIMA = "Kijima et al. 1990"
 ASTERN_SPEED = 0.7  # largest shaft speed astern over that ahead
 
 
@@ -307,25 +311,28 @@ class RudderDrive:
             reasons["kappa"] = "slipstream: half sped up in the disc, wholly far behind"
             widths["kappa"] = KAPPA_WIDTH
         if outline.is_streamlined:
-            more, told = _interaction(outline)
-            table, reasons = table | more, reasons | told
+            with_hull = _interaction(outline)
+            table |= with_hull
+            reasons |= dict.fromkeys(with_hull, KIJIMA) | {"x_H": "-0.45 L"}
+        if propeller is not None or outline.is_streamlined:
+            sides = ("gamma_R_port", "gamma_R_starboard")
+            table |= {"l_R": -0.9 * L} | dict.fromkeys(sides, _straightening(outline))
+            reasons |= {"l_R": "-0.9 L"} | dict.fromkeys(sides, KIJIMA)
+            widths |= dict.fromkeys(sides, STRAIGHTENING_WIDTH)
         return Part("rudder", table, reasons, widths)
 
 
-def _interaction(outline: Outline) -> tuple[dict[str, object], dict[str, str]]:
-    """How hull and rudder of a ship act on one another (Kijima et al. 1990), and its sources."""
+def _interaction(outline: Outline) -> dict[str, object]:
+    """What a ship's rudder and hull add to one another's forces (Kijima et al. 1990)."""
     C_B, L = outline.block_coefficient, outline.length
-    q = C_B * outline.hull_beam / L
-    gamma = max(0.68 + 0.02 * q - 22.2 * q**2, 0.2)
-    table: dict[str, object] = {
-        "t_R": max(0.45 - 0.28 * C_B, 0.0),
-        "a_H": max(0.627 * C_B - 0.153, 0.0),
-        "x_H": -0.45 * L,
-        "l_R": -0.9 * L,
-        "gamma_R_port": gamma,
-        "gamma_R_starboard": gamma,
-    }
-    return table, dict.fromkeys(table, "Kijima et al. 1990") | {"x_H": "-0.45 L", "l_R": "-0.9 L"}
+    t_R, a_H = max(0.45 - 0.28 * C_B, 0.0), max(0.627 * C_B - 0.153, 0.0)
+    return {"t_R": t_R, "a_H": a_H, "x_H": -0.45 * L}
+
+
+def _straightening(outline: Outline) -> float:
+    """gamma_R: how much of a drift the rudder feels behind hull and propeller (Kijima et al.)."""
+    q = outline.block_coefficient * outline.hull_beam / outline.length
+    return max(0.68 + 0.02 * q - 22.2 * q**2, 0.2)
 
 
 def _shaft_speed(diameter: float, inflow: float, thrust: float) -> float:
