@@ -245,12 +245,9 @@ class RudderDrive:
         inflow = (1 - wake) * outline.top_speed
         thrust = drag_at(outline.top_speed, hull) / ((1 - THRUST_DEDUCTION) * outline.water_density)
         holds = f"holds the top speed of {outline.top_speed:.3g} m/s"
-        D, of_D, widths = (
-            self.diameter,
-            "as given",
-            {"k_T.0": K_T_WIDTH, "astern_factor": ASTERN_WIDTH},
-        )
+        D, of_D = self.diameter, "as given"
         n, of_n = self.shaft_speed, "rev/s, as given"
+        widths = {"k_T.0": K_T_WIDTH, "astern_factor": ASTERN_WIDTH}
         if D is None and n is not None:
             D, of_D = _diameter(n, inflow, thrust), holds
         elif D is None:
