@@ -201,7 +201,8 @@ def _hull(hull: Table) -> tuple[RigidBody, AddedMass, dict[str, AbstractForce]]:
     for key in _NEEDED:
         needed(hull, key, "[hull]")
     values = numbers(hull, (key for key in hull if key not in _HULL_WORDS), "[hull]")
-    body = RigidBody(**{key: values[key] for key in _BODY if key in values})
+    stated: dict[str, Any] = {key: values[key] for key in _BODY if key in values}
+    body = RigidBody(**stated)
     terms = hull.get("added_mass_coriolis", "full")
     if terms not in ("full", "no-munk", "none"):
         raise UserError('[hull] added_mass_coriolis is "full", "no-munk" or "none"')
