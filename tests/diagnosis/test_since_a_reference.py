@@ -41,3 +41,25 @@ def test_a_load_that_looks_like_added_mass_is_found_beside_recordings_without_it
     assert "reference" not in alone.record["source"] and "of reference" not in alone.html()
     (table,) = since.diagnosed.document["effect"]
     assert table["mass"] == pytest.approx(mass["value"], rel=1e-3) and "time" not in table
+
+
+def test_a_load_at_one_end_is_found_with_its_place():
+    hull = DOCUMENT["hull"]
+    load, x = 0.2 * hull["mass"], -0.22 * hull["length"]
+    laden = {"mass-change": {"time": -100.0, "mass": load, "x": x}}
+    hidden = {1: {}, 2: {}, 3: laden, 4: laden, 5: laden}
+    runs = {
+        k: dataclasses.replace(random_steps(DOCUMENT, k, 60.0, 0.2, one), name=f"run {k}")
+        for k, one in hidden.items()
+    }
+    file = VesselFile(build(DOCUMENT), DOCUMENT, "usv.toml")
+    later = [runs[3], runs[4]], [runs[5]]
+    since = diffsea.diagnose(file, *later, quick=True, reference=[runs[1], runs[2]])
+    (effect,) = since.record["effects"]
+    assert effect["name"] == "mass-change"
+    for key, true in (("mass", load), ("x", x)):
+        found = effect["parameters"][key]
+        assert abs(found["value"] - true) < 2 * found["std"] < 0.4 * abs(true), key
+    assert any("aft of amidships" in line for line in since.notes())
+    (table,) = since.diagnosed.document["effect"]
+    assert table["x"] == pytest.approx(effect["parameters"]["x"]["value"], rel=1e-3)

@@ -19,7 +19,7 @@ from diffsea.checks.shares import in_shares, order_scales
 from diffsea.checks.spans import IntervalEstimate
 from diffsea.cli import main
 from diffsea.recordings import Finding, audit, write_recording
-from diffsea.recordings.auditing.edits import Affine, Blank, Edit, Step
+from diffsea.recordings.auditing.edits import Affine, Blank, Edit, StepRemoval
 from diffsea.report.pages.check import (
     DOUBTFUL,
     check_report,
@@ -104,7 +104,7 @@ def test_faults_are_drawn_at_their_times():
     findings = [
         fault("stuck", "psi", Blank(("psi",), ((10.0, 12.0),))),
         fault("outliers", "r", Blank(("r",), ((20.0, 20.0), (30.0, 30.0)))),
-        fault("heading-offset", "psi", Step("psi", 0.1, 50.0)),
+        fault("heading-offset", "psi", StepRemoval("psi", 0.1, 50.0)),
         fault("scale", "u", Affine(("u",), 1.1)),
         fault("gap", "v"),
     ]
