@@ -139,3 +139,6 @@ def test_what_a_vessel_has_beyond_is_refused_by_name():
     require_nothing_lost(left_out, "mss", allow_loss=True)
     play = BOAT + '\n[[effect]]\nname = "backlash"\nwidth = 4.0\nactuators = ["port"]\n'
     assert equations_of(build(tomllib.loads(play))).left_out == ("the play of 'port'",)
+    load = BOAT + '\n[[effect]]\nname = "mass-change"\nmass = 4.0\nx = -0.2\n'
+    found = equations_of(build(tomllib.loads(load))).left_out
+    assert found == ("the mass taken on or lost during a run",)

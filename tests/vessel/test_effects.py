@@ -63,6 +63,13 @@ def at_zero(name):
     return jnp.zeros(len(EFFECTS[name].sizes(VESSEL)))
 
 
+@pytest.mark.parametrize("name", ["mass-change", "mass-change:placed"])
+def test_a_vessel_that_takes_on_a_load_is_not_asked_for_another(name):
+    effect = EFFECTS[name]
+    laden = effect.apply(VESSEL, jnp.asarray(effect.sizes(VESSEL)))
+    assert effect.possible(VESSEL) and not effect.possible(laden)
+
+
 @pytest.mark.parametrize("end, weak", [("fore", "bow"), ("aft", "stern")])
 def test_a_change_at_one_end_is_of_the_thrusters_there(end, weak):
     pods = [{"name": name, "x": x, "y": 0.3} for name, x in (("bow", 1.5), ("stern", -1.5))]
