@@ -1,6 +1,7 @@
 """What changed since recordings of reference is told from what the vessel file had wrong."""
 
 import dataclasses
+import functools
 
 import pytest
 from tests.diagnosis.small import DOCUMENT
@@ -14,20 +15,26 @@ from diffsea.vessel.files import build
 pytestmark = pytest.mark.proof
 
 
-def test_a_load_that_looks_like_added_mass_is_found_beside_recordings_without_it():
-    """Alone, the later recordings agree with the vessel file: its derivatives hold the load."""
-    load = 0.2 * DOCUMENT["hull"]["mass"]
-    laden = {"mass-change": {"time": -100.0, "mass": load}}
+def since_a_reference(load):
+    """A diagnosis of recordings with a load, and two recordings without it."""
+    laden = {"mass-change": {"time": -100.0, **load}}
     hidden = {1: {}, 2: {}, 3: laden, 4: laden, 5: laden}
     runs = {
         k: dataclasses.replace(random_steps(DOCUMENT, k, 60.0, 0.2, one), name=f"run {k}")
         for k, one in hidden.items()
     }
     file = VesselFile(build(DOCUMENT), DOCUMENT, "usv.toml")
-    later = [runs[3], runs[4]], [runs[5]]
-    alone = diffsea.diagnose(file, *later, quick=True)
+    diagnosed = functools.partial(diffsea.diagnose, file, [runs[3], runs[4]], [runs[5]], quick=True)
+    return diagnosed, [runs[1], runs[2]]
+
+
+def test_a_load_that_looks_like_added_mass_is_found_beside_recordings_without_it():
+    """Alone, the later recordings agree with the vessel file: its derivatives hold the load."""
+    load = 0.2 * DOCUMENT["hull"]["mass"]
+    diagnosed, reference = since_a_reference({"mass": load})
+    alone = diagnosed()
     assert alone.record["verdict"] == "consistent"
-    since = diffsea.diagnose(file, *later, quick=True, reference=[runs[1], runs[2]])
+    since = diagnosed(reference=reference)
     (effect,) = since.record["effects"]
     assert effect["name"] == "mass-change"
     mass, time = effect["parameters"]["mass"], effect["parameters"]["time"]
@@ -46,15 +53,8 @@ def test_a_load_that_looks_like_added_mass_is_found_beside_recordings_without_it
 def test_a_load_at_one_end_is_found_with_its_place():
     hull = DOCUMENT["hull"]
     load, x = 0.2 * hull["mass"], -0.22 * hull["length"]
-    laden = {"mass-change": {"time": -100.0, "mass": load, "x": x}}
-    hidden = {1: {}, 2: {}, 3: laden, 4: laden, 5: laden}
-    runs = {
-        k: dataclasses.replace(random_steps(DOCUMENT, k, 60.0, 0.2, one), name=f"run {k}")
-        for k, one in hidden.items()
-    }
-    file = VesselFile(build(DOCUMENT), DOCUMENT, "usv.toml")
-    later = [runs[3], runs[4]], [runs[5]]
-    since = diffsea.diagnose(file, *later, quick=True, reference=[runs[1], runs[2]])
+    diagnosed, reference = since_a_reference({"mass": load, "x": x})
+    since = diagnosed(reference=reference)
     (effect,) = since.record["effects"]
     assert effect["name"] == "mass-change"
     for key, true in (("mass", load), ("x", x)):

@@ -29,6 +29,7 @@ from diffsea.vessel.estimates import (
     resistance,
     scatter,
 )
+from diffsea.vessel.estimates.drives import STRAIGHTENING_WIDTH
 from diffsea.vessel.estimates.vessel_text import vessel_text
 from diffsea.vessel.files import VesselFile, build
 
@@ -313,6 +314,20 @@ def test_a_known_diameter_stays_and_pitch_slipstream_and_thrust_astern_are_free(
     assert kappa is not None
     within = kappa.value * np.exp(kappa.spread * np.array([-1.0, 1.0]))
     np.testing.assert_allclose(within, [0.5, 1.0], rtol=2e-3)
+
+
+def test_the_flow_straightening_of_two_ships_is_off_by_its_width():
+    """KVLCC2 as published, and the KCS, of which the file has the order of published sets."""
+    missed = []
+    for path in ("kvlcc2", ROOT / "experiments" / "real_fits" / "kcs.toml"):
+        document = read_vessel(path).document
+        hull, (rudder,) = document["hull"], document["rudder"]
+        size = (hull[key] for key in ("length", "beam", "mass", "draught"))
+        known = Known("ship", *size, water_density=hull["water_density"])
+        (made,) = written(known, RudderDrive()).document["rudder"]
+        sides = ("gamma_R_port", "gamma_R_starboard")
+        missed += [np.mean([math.log(made[side] / rudder[side]) for side in sides])]
+    assert math.hypot(*missed) / math.sqrt(2) == pytest.approx(STRAIGHTENING_WIDTH, abs=0.01)
 
 
 def test_a_known_thrust_at_a_known_speed_is_the_drag():

@@ -104,6 +104,7 @@ def test_fits_refuse_such_a_number_at_once(tmp_path):
             "a file has its name, 'actuator-bias'",
         ),
         ({"effect": [{"name": "current"}]}, "states no number; its keys are speed, direction"),
+        ({"effect": [{"name": "mass-change", "x": 1.0}]}, "mass is missing"),
         (
             {"effect": [{"name": "sensor-latency", "delay": 0.1, "channels": ["x", "z"]}]},
             "channels are among",

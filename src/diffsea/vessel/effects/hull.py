@@ -29,7 +29,7 @@ from diffsea.vessel.effects.entry import (
 )
 from diffsea.vessel.hull import Change, CrossFlowDrag, Damping, PrimeDamping, RollCoupling
 from diffsea.vessel.inertia import Load, MunkMoment
-from diffsea.vessel.tables import Table
+from diffsea.vessel.tables import Table, needed
 
 
 hull_effect = functools.partial(entry, "hull")
@@ -253,7 +253,9 @@ def _read_mass_change(
 ) -> Vessel:
     """A load amidships, or at the `x` that a table states."""
     amidships, placed = variants
-    return read_table(vessel, table, [placed if "x" in table else amidships], where, ("x",))
+    laden = read_table(vessel, table, [placed if "x" in table else amidships], where, ("x",))
+    needed(table, "mass", where)
+    return laden
 
 
 def _mass_change(name: str, phrase: str, *place: Coefficient) -> Effect:

@@ -33,9 +33,9 @@ DIAMETER_WIDTH = 0.15  # of a diameter that is not known
 # How far the slipstream has sped up at the rudder: by momentum theory half in the disc, wholly far
 # behind it. The middle of both, each a standard deviation away.
 KAPPA, KAPPA_WIDTH = math.sqrt(0.5), 0.5 * math.log(2)
-# Of gamma_R, the flow straightening: root mean square of ln(estimate / measured), both sides'
-# geometric mean, of KVLCC2 (0.21 for 0.50) and the KCS (0.50 for 0.41).
-STRAIGHTENING_WIDTH = 0.65
+# Of gamma_R, the flow straightening: root mean square of ln(estimate / published), both sides'
+# geometric mean, of the only two hulls at hand, KVLCC2 (0.22 for 0.50) and KCS (0.50 for 0.41).
+STRAIGHTENING_WIDTH = 0.62
 PROPELLER_SHARE = 0.65  # of the draught
 THRUST_DEDUCTION = 0.16
 BOAT_RUDDER = 50  # L T over the area of a boat's rudder
