@@ -46,7 +46,7 @@ def log(orders, unit="us", source="column 8", form="csv") -> Any:
     ],
 )
 def test_the_vessel_that_is_proposed_takes_the_orders_of_the_log(orders, unit, source, tmp_path):
-    new, diagnose = following_commands(
+    new, *_, diagnose = following_commands(
         NO_SPAN, [(pathlib.Path("a b.csv"), log(orders, unit, source))], {}
     )
     assert shlex.split(diagnose) == ["diffsea", "diagnose", "boat.toml", "a b.csv"]
@@ -74,6 +74,15 @@ def test_orders_that_are_called_per_cent_are_ordered_in_it():
         new, _ = following_commands(NO_SPAN, [(pathlib.Path("a.csv"), twin)], {})
         assert new.endswith(f"--thrusters M --unit {unit}")
     assert suggest_labels("throttle_percent").best == "propeller"  # by a share of its power
+
+
+@pytest.mark.parametrize("full, unit", [(1.0, "UNIT"), (100.0, "percent"), (400.0, "UNIT")])
+def test_a_throttle_of_up_to_a_hundred_is_in_per_cent_and_may_be_an_outboard(full, unit):
+    boat = log(("rudder", "motor"), "own", "throttle_order")
+    boat.run.commanded["motor"] = full * np.array([0.0, 1.0, -0.5])
+    new, outboard, _ = following_commands(NO_SPAN, [(pathlib.Path("a.csv"), boat)], {})
+    assert new.endswith(f"--rudder --unit {unit}")
+    assert "--azimuth outboard=X" in outboard
 
 
 def test_the_ship_that_is_proposed_takes_the_largest_order(tmp_path):

@@ -442,6 +442,11 @@ def test_names_of_logs_are_understood():
         "ruderwinkel": "rudder",
         "gyro.z [m]": "other",
         "HDT_deg": "psi",
+        "/helm/throttle_order:data": "propeller",
+        "/helm/cmd:throttle": "propeller",
+        "helm_throttle": "propeller",
+        "/helm/angle:data": "rudder",
+        "/left/throttle:data": "port",
     }
     assert {name: suggest_labels(name).best for name in found} == found
     assert suggest_labels("yaw_rate_deg_s").unit == "deg/s"

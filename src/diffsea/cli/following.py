@@ -11,7 +11,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from diffsea.channels import is_azimuth
+from diffsea.channels import is_azimuth, steers
 
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 
 _PROPELLED = "--hull ship"  # a propeller's shaft, ordered in rev/s, and a rudder
+_STEERED = "--rudder"  # and a motor, as an outboard's orders look, too
 
 
 def following_commands(
@@ -50,6 +51,8 @@ def following_commands(
             continue
         boat = boats.setdefault(new, f"boat{len(boats) + 1 if boats else ''}.toml")
         lines.append(f"diffsea new {boat} {new}")
+        if _STEERED in new:
+            lines.append("(with an outboard: --azimuth outboard=X in place of --rudder)")
         for mapping, paths in _by_mapping([path for path, _ in logs], mappings).items():
             words = ["diffsea", "diagnose", boat, *map(str, paths)]
             words += [] if mapping is None else ["--mapping", str(mapping)]
@@ -139,7 +142,7 @@ def _drive(one: "LogCheck") -> str:
     if orders == {"port", "starboard"}:
         return f"--thrusters M{unit}"
     if orders == {"rudder", "motor"}:
-        return f"--rudder{unit}"
+        return f"{_STEERED}{unit}"
     if turning := _azimuths(one):
         return " ".join(f"--azimuth {name}=X" for name in turning)
     return _PROPELLED if orders in ({"rudder", "propeller"}, {"rudder"}) else ""
@@ -187,9 +190,16 @@ def _unit_option(one: "LogCheck") -> str:
         return " --unit normalised"
     from diffsea.recordings.mapping_proposal import suggest_labels
 
-    orders = [column for name, column in one.channels.items() if name.startswith("cmd_")]
-    said = {suggest_labels(column.source).unit for column in orders}
-    if said == {"%"}:
+    orders = {
+        name: suggest_labels(column.source)
+        for channel, column in one.channels.items()
+        if channel.startswith("cmd_") and not steers(name := channel.removeprefix("cmd_"))
+    }
+    percents = [
+        told.unit == "%" or ("throttle" in told.words and 1.5 < _largest_order(one, name) <= 100)
+        for name, told in orders.items()
+    ]
+    if percents and all(percents):
         return " --unit percent"
     columns = [one.channels[name] for name in one.channels if name.startswith(("cmd_", "exec_"))]
     forces = [

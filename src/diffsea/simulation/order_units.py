@@ -9,6 +9,7 @@ from diffsea import pulses
 from diffsea.errors import UserError
 from diffsea.progress import Progress, Remark, no_progress
 from diffsea.recordings.auditing.finding import Finding, finding_of
+from diffsea.simulation.steered_thrust import with_thruster_orders
 from diffsea.trajectory import Samples, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.servo import Servo
@@ -48,13 +49,14 @@ def with_usable_actuation(
     """Recordings without executed actuation that is in another unit than the vessel's orders.
 
     A shaft speed that was measured beside orders in per cent says nothing in per cent: what was
-    executed is reconstructed from such orders.
+    executed is reconstructed from such orders. A helm and a throttle are those of an
+    outboard, where the vessel has nothing else (`with_thruster_orders`).
 
     Raises:
         UserError: as `require_order_units` does, of what is left.
     """
     found, left_out = list[Trajectory](), dict[tuple[str, ...], list[str]]()
-    for run in recordings:
+    for run in with_thruster_orders(vessel, recordings, progress):
         certain = [one for one in unit_findings(vessel, run) if not one.doubt]
         accused = {channel for one in certain for channel in one.channels}
         needless = tuple(
