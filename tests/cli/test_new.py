@@ -107,6 +107,18 @@ def test_azimuth_thrusters_sit_where_they_are_said_to_and_their_lags_are_free(ma
     np.testing.assert_allclose(float(half.X), 10.0, rtol=1e-3)
 
 
+def test_rudder_propeller_and_centre_of_gravity_are_where_they_are_said_to_be(made):
+    words = ("--hull", "ship", *SIZE, "--rudder", "0.02,-0.65", "--propeller", "0.1,-0.6",
+             "--centre-of-gravity", "-0.05")  # fmt: skip
+    file = read_vessel(made("boat.toml", *words)[0])
+    propeller, rudder = (file.vessel.actuators[name] for name in ("propeller", "rudder"))
+    assert (rudder.x, rudder.area, propeller.x, propeller.diameter) == (-0.65, 0.02, -0.6, 0.1)
+    assert float(file.vessel.rigid_body.x_G) == -0.05
+    assert not {"x_G", "propeller.diameter"} & set(file.priors)
+    alone = read_vessel(made("boat.toml", *SIZE, "--rudder", "0.02,-0.6", "--force")[0])
+    assert alone.vessel.actuators["rudder"].x == -0.6
+
+
 def test_an_antenna_has_its_own_motion(made):
     file = read_vessel(made("boat.toml", *SIZE, "--antenna", "-0.4,0.1")[0])
     at = State(0.0, 0.0, np.pi / 2, 1.0, 0.0, 0.5)
@@ -118,11 +130,13 @@ def test_an_antenna_has_its_own_motion(made):
 @pytest.mark.parametrize("words, said", [
     (("--antenna", "here"), "a place is"),
     (("--azimuth", "fore"), "NAME=X"),
+    (("--rudder", "0.02,aft"), "is not a number"),
+    (("--propeller", "0,-1"), "not above zero"),
     (("--azimuth", "fore=1,2,3"), "a place is"),
     (("--azimuth", "fore=nan"), "a place is"),
     (("--azimuth", "fore=0.5", "--rudder"), "give one of"),
 ])  # fmt: skip
-def test_an_azimuth_thruster_without_a_place_is_bad_usage(made, words, said):
+def test_a_place_that_is_none_is_bad_usage(made, words, said):
     _, told = made("boat.toml", *SIZE, *words, status=2)
     assert said in told.err
 
@@ -130,6 +144,9 @@ def test_an_azimuth_thruster_without_a_place_is_bad_usage(made, words, said):
 @pytest.mark.parametrize("words, said", [
     (("--antenna", "3"), "is not on a boat"),
     (("--azimuth", "fore=2"), "outside a hull"),
+    (("--rudder", "0.02,-2"), "rudder at -2 m"),
+    (("--hull", "ship", "--propeller", "0.1,-2"), "propeller at -2 m"),
+    (("--centre-of-gravity", "-2"), "centre of gravity -2 m"),
     (("--azimuth", "fore=0.5", "--azimuth", "fore=0"), "one name"),
     (("--azimuth", "fore=0.5", "--unit", "rpm"), "--shaft-speed"),
     (("--azimuth", "fore=0.5", "--shaft-speed", "25"), "--unit rpm"),

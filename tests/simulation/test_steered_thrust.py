@@ -1,6 +1,5 @@
 """A helm and a throttle drive an outboard as its own channels do."""
 
-
 import numpy as np
 import pytest
 

@@ -30,10 +30,12 @@ from diffsea.vessel.estimates import (
     scatter,
 )
 from diffsea.vessel.estimates.drives import STRAIGHTENING_WIDTH
+from diffsea.vessel.estimates.outline import CENTRE_OF_GRAVITY_WIDTH
 from diffsea.vessel.estimates.vessel_text import vessel_text
 from diffsea.vessel.files import VesselFile, build
 
 
+SHIPPED = ROOT / "src/diffsea/vessel/data"
 BOAT = Known("catamaran", 1.4, 0.93, 22.0)
 
 
@@ -49,6 +51,20 @@ def written(known: Known, drive) -> VesselFile:
     parts = drive.parts(outline, hull, known.top_speed is not None)
     document = tomllib.loads(vessel_text("boat", outline, hull, parts))
     return VesselFile(build(document), document, "boat.toml")
+
+
+def test_the_centre_of_gravity_is_off_amidships_as_those_that_ship_are():
+    bodies = [read_vessel(path.stem).vessel.rigid_body for path in SHIPPED.glob("*.toml")]
+    off = np.array([float(one.x_G / one.length) for one in bodies])
+    width = math.sqrt(np.mean(off[off != 0] ** 2))
+    assert width == pytest.approx(CENTRE_OF_GRAVITY_WIDTH, abs=5e-4)
+    unsaid, said = (
+        written(dataclasses.replace(BOAT, x_G=x), Thrusters(spacing=0.66)) for x in (None, -0.1)
+    )
+    assert unsaid.priors["x_G"].std == pytest.approx(CENTRE_OF_GRAVITY_WIDTH * 1.4, rel=1e-2)
+    assert "x_G" not in said.priors and float(said.vessel.rigid_body.x_G) == -0.1
+    with pytest.raises(UserError, match="centre of gravity -0.8 m ahead"):
+        outline_of(dataclasses.replace(BOAT, x_G=-0.8))
 
 
 # -- methods against what is published ------------------------------------------------------

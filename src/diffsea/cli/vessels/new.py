@@ -49,7 +49,6 @@ def register(commands: options.Commands) -> None:
         ("--top-speed", "M/S", "speed at full thrust, m/s (default: a usual Froude number)"),
         ("--thrusters", "M", "two thrusters, so many metres between their axes"),
         ("--thrust", "N", "full thrust ahead of each thruster, N (default: drag at top speed)"),
-        ("--propeller", "M", "diameter of the propeller ahead of the rudder, m"),
         (
             "--shaft-speed",
             "REV/S",
@@ -60,8 +59,19 @@ def register(commands: options.Commands) -> None:
         add_option(new, flag, metavar, options.positive, text)
     density = "of the water, kg/m^3"
     add_option(new, "--water-density", "RHO", options.positive, density, default=1025.0)
-    rudder = "a rudder, its area in m^2 (without a number: usual), behind a thruster or propeller"
-    add_option(new, "--rudder", "AREA", options.positive, rudder, nargs="?", const=True)
+    propeller = (
+        "a propeller ahead of the rudder: its diameter in m, and where it sits, X m ahead of "
+        "amidships (default: 0.47 L aft)"
+    )
+    add_option(new, "--propeller", "D[,X]", size_and_place, propeller)
+    rudder = (
+        "a rudder behind a thruster or propeller: its area in m^2 (without a number: usual), and "
+        "where its stock is, X m ahead of amidships (default: at the stern)"
+    )
+    usual = {"nargs": "?", "const": (None, None)}
+    add_option(new, "--rudder", "AREA[,X]", size_and_place, rudder, **usual)
+    balance = "centre of gravity, m ahead of amidships, negative aft (default: found by a fit)"
+    add_option(new, "--centre-of-gravity", "M", options.number, balance)
     azimuth = (
         "an azimuth thruster by the name of its channels, X m ahead of amidships (negative aft) "
         "and Y m to starboard (0 where left out); once for each"
@@ -95,7 +105,7 @@ def new_command(args: argparse.Namespace) -> None:
       diffsea new boat.toml --length 1.4 --beam 0.93 --mass 22 --thrusters 0.66 --log boat.bin
       diffsea new boat.toml --length 1.4 --beam 0.93 --mass 22 --thrusters 0.66 --antenna -0.3
       diffsea new ferry.toml --length 5 --beam 2.8 --mass 1800 --azimuth fore=1.8 --azimuth aft=-1.8
-      diffsea new launch.toml --hull monohull --length 6 --beam 2.1 --mass 900 --rudder 0.05
+      diffsea new launch.toml --hull monohull --length 6 --beam 2.1 --mass 900 --rudder 0.05,-2.9
       diffsea new ship.toml --hull ship --length 54 --beam 11.1 --draught 3.3 --mass 1.1e6
     """
     needed = {"FILE": args.file, "--length": args.length, "--beam": args.beam}
@@ -123,6 +133,7 @@ def new_command(args: argparse.Namespace) -> None:
         args.hull_beam,
         args.top_speed,
         args.water_density,
+        args.centre_of_gravity,
     )
     outline, top_known = outline_of(known), args.top_speed is not None
     drive = _drive(args, outline, parameters, told)
@@ -159,6 +170,12 @@ def place(text: str) -> tuple[float, float]:
             f"a place is X or X,Y (m ahead, m to starboard), such as 0.4,-0.1, not {text!r}"
         )
     return x, y
+
+
+def size_and_place(text: str) -> tuple[float, float | None]:
+    """SIZE[,X]: a positive size, and m ahead of amidships. Raises `ArgumentTypeError`."""
+    size, comma, where = text.partition(",")
+    return options.positive(size), options.number(where) if comma else None
 
 
 def check_target(file: pathlib.Path, force: bool) -> None:
@@ -276,16 +293,17 @@ def _drive(
             )
         scales = {name: _scale(one, args.log) for name, one in sides.items() if one is not None}
         return Thrusters(spacing=args.thrusters, scales=scales, reversed=args.reversed, **common)
-    area = None if args.rudder is True else args.rudder
+    area, rudder_x = args.rudder or (None, None)
     in_pulses = outline.form != "ship" or args.unit is not None or parameters is not None
     by_shaft = args.shaft_speed is not None and unit not in PER_REVOLUTION
     if not in_pulses or args.propeller is not None or by_shaft:
-        return RudderDrive(area, args.propeller, shaft_speed=args.shaft_speed)
+        diameter, propeller_x = args.propeller or (None, None)
+        return RudderDrive(area, diameter, None, args.shaft_speed, rudder_x, propeller_x)
     throttle = None if parameters is None else parameters.output(THROTTLE)
     scales = {} if throttle is None else {"motor": _scale(throttle, args.log)}
     told.append("the rudder is ordered in rad: a mapping turns pulse widths of steering into that")
     motor = Thrusters(("motor",), scales=scales, reversed=args.reversed, **common)
-    return RudderDrive(area, None, motor)
+    return RudderDrive(area, None, motor, rudder_x=rudder_x)
 
 
 def _scale(output: "ServoOutput", log: pathlib.Path) -> "MotorScale":
@@ -324,7 +342,7 @@ def _record(
     return {
         "file": str(file),
         "hull": outline.form,
-        "assumed": [*outline.assumed.values(), f"I_z = {outline.I_z:.3g} kg m^2", "x_G = 0"],
+        "assumed": [*outline.assumed.values(), f"I_z = {outline.I_z:.3g} kg m^2"],
         "log": told,
         "channels": units,
         "derivatives": {

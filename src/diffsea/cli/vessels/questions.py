@@ -41,7 +41,7 @@ def ask_what_is_missing(
         usual = "rudder" if args.hull in ("monohull", "ship") else "thrusters"
         drives = options.OneOf(("thrusters", "rudder"), "drive")
         if _ask("steered by (thrusters, rudder)", usual, drives) == "rudder":
-            args.rudder = _ask("area of the rudder, m^2", "not known", _or_unknown) or True
+            args.rudder = _ask("area of the rudder, m^2", "not known", _or_unknown), None
         else:
             spacing = _ask("metres between the thrusters", "not known", _or_unknown)
             args.thrusters = spacing or 0.5 * args.beam

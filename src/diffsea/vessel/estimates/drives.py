@@ -222,14 +222,19 @@ class Azimuths:
 class RudderDrive:
     """A rudder behind a propeller (orders in rev/s), or behind one thruster of orders in a unit.
 
-    `area` (m^2), `diameter` (m) and `shaft_speed` (rev/s, the largest ahead) are assumed where they
-    are None.
+    `area` (m^2), `diameter` (m), `shaft_speed` (rev/s, the largest ahead) and the places of rudder
+    and propeller (m ahead of amidships) are assumed where they are None.
+
+    Raises:
+        UserError: a rudder or a propeller outside the hull, by `parts`.
     """
 
     area: float | None = None
     diameter: float | None = None
     thruster: Thrusters | None = None  # in the propeller's place
     shaft_speed: float | None = None
+    rudder_x: float | None = None
+    propeller_x: float | None = None
 
     def parts(
         self, outline: Outline, hull: Mapping[str, DerivativeEstimate], top_speed_known: bool
@@ -245,6 +250,7 @@ class RudderDrive:
         inflow = (1 - wake) * outline.top_speed
         thrust = drag_at(outline.top_speed, hull) / ((1 - THRUST_DEDUCTION) * outline.water_density)
         holds = f"holds the top speed of {outline.top_speed:.3g} m/s"
+        x, of_x = _placed("propeller", self.propeller_x, -0.47, outline)
         D, of_D = self.diameter, "as given"
         n, of_n = self.shaft_speed, "rev/s, as given"
         widths = {"k_T.0": K_T_WIDTH, "astern_factor": ASTERN_WIDTH}
@@ -258,7 +264,7 @@ class RudderDrive:
             n, of_n = _shaft_speed(D, inflow, thrust), f"rev/s, {holds}"
         table: dict[str, object] = {
             "name": "propeller",
-            "x": -0.47 * outline.length,
+            "x": x,
             "diameter": D,
             "k_T": list(K_T),
             "wake_fraction": wake,
@@ -268,7 +274,7 @@ class RudderDrive:
             "min_speed": -ASTERN_SPEED * n,
         }
         reasons = {
-            "x": "assumed",
+            "x": of_x,
             "diameter": of_D,
             "k_T": "about Wageningen B4-55 at pitch ratio 0.9; the first one, its pitch, is free",
             "wake_fraction": "0.5 C_B - 0.05 (Taylor)",
@@ -286,19 +292,20 @@ class RudderDrive:
             area, why = L * T / 100 * (1 + 25 * (B / L) ** 2), "Det Norske Veritas"
         elif area is None:
             area, why = L * T / BOAT_RUDDER, f"assumed: L T / {BOAT_RUDDER}"
+        x, of_x = _placed("rudder", self.rudder_x, -0.5, outline)
         aspect = 1.6
         table: dict[str, object] = {
             "name": "rudder",
             "area": area,
             "height": math.sqrt(aspect * area),
-            "x": -0.5 * L,
+            "x": x,
             "max_angle": MAX_ANGLE,
             "lift_slope": 6.13 * aspect / (aspect + 2.25),
         }
         reasons = {
             "area": why,
             "height": "assumed: aspect ratio 1.6",
-            "x": "assumed: at the stern",
+            "x": of_x,
             "max_angle": "rad, assumed: 35 deg",
             "lift_slope": "6.13 A / (A + 2.25) at aspect ratio A (Fujii)",
         }
@@ -336,6 +343,17 @@ def _shaft_speed(diameter: float, inflow: float, thrust: float) -> float:
     """The shaft speed (rev/s) of n^2 D^4 K_T(J) = thrust / rho, with J = inflow / (n D)."""
     k0, k1, k2 = K_T
     return _largest_root((k0, k1 * inflow, k2 * inflow**2 - thrust / diameter**2)) / diameter
+
+
+def _placed(name: str, x: float | None, usual: float, outline: Outline) -> tuple[float, str]:
+    """Where a part sits (m ahead of amidships), and what that rests on; `usual` in lengths."""
+    if x is None:
+        return usual * outline.length, f"m, assumed: {-usual:g} L aft"
+    if abs(x) > 0.6 * outline.length:
+        raise UserError(
+            f"the {name} at {x:g} m ahead of amidships lies outside a hull of {outline.length:g} m"
+        )
+    return x, "m, as given"
 
 
 def _diameter(shaft_speed: float, inflow: float, thrust: float) -> float:

@@ -29,6 +29,8 @@ FORMS = {
 }
 SLENDERNESS = 10.0  # length over beam of a demihull: 12, 8 and 11 of blueboat, otter and wamv
 GYRATION = 0.25  # radius of gyration over length, as for ships (Yasukawa and Yoshimura 2015)
+# Of x_G / L: root mean square of the vessels that ship and state a centre of gravity off amidships.
+CENTRE_OF_GRAVITY_WIDTH = 0.056
 LEAST_BLOCK, MOST_BLOCK = 0.2, 1.0
 LEAST_DRAUGHT, MOST_DRAUGHT = 0.005, 2.0  # over a hull's beam, that are believed of a mass
 BLOCK_MISMATCH = 0.1  # by which a stated block coefficient may differ from that of the mass
@@ -47,6 +49,7 @@ class Known:
     hull_beam: float | None = None  # m, of one demihull, at the waterline
     top_speed: float | None = None  # m/s
     water_density: float = 1025.0  # kg/m^3
+    x_G: float | None = None  # m, centre of gravity ahead of amidships
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,6 +70,7 @@ class Outline:
     water_density: float
     service_speed: float  # at which drag is estimated
     top_speed: float
+    x_G: float  # centre of gravity ahead of amidships
     assumed: dict[str, str]
 
     @property
@@ -105,7 +109,9 @@ def outline_of(known: Known) -> Outline:
         raise UserError(f"unknown hull form {known.form!r}; known are {', '.join(FORMS)}")
     form, assumed = FORMS[known.form], dict[str, str]()
     for key, value in dataclasses.asdict(known).items():
-        if isinstance(value, float | int) and not (value > 0 and math.isfinite(value)):
+        if key == "x_G" or not isinstance(value, float | int):
+            continue
+        if not (value > 0 and math.isfinite(value)):
             raise UserError(f"{key} = {value:g} must be positive")
     hull_beam = _hull_beam(known, form, assumed)
     plan = form.hulls * known.water_density * known.length * hull_beam  # kg for each m of draught
@@ -144,6 +150,15 @@ def outline_of(known: Known) -> Outline:
     if top is None:
         top = froude_speed(known.length, form.top)
         assumed["top_speed"] = f"top speed = {top:.3g} m/s, Froude number {form.top:g}"
+    x_G = known.x_G
+    if x_G is None:
+        x_G = 0.0
+        assumed["x_G"] = f"x_G = 0 +- {CENTRE_OF_GRAVITY_WIDTH * known.length:.2g} m"
+    if not abs(x_G) < 0.5 * known.length:
+        raise UserError(
+            f"a centre of gravity {x_G:g} m ahead of amidships does not lie in a hull of "
+            f"{known.length:g} m"
+        )
     service = min(froude_speed(known.length, form.service), 0.7 * top)
     return Outline(
         known.form,
@@ -157,6 +172,7 @@ def outline_of(known: Known) -> Outline:
         known.water_density,
         service,
         top,
+        x_G,
         assumed,
     )
 

@@ -7,7 +7,7 @@ import tomli_w
 from diffsea.errors import UserError
 from diffsea.vessel.estimates import added_mass, lateral, resistance
 from diffsea.vessel.estimates.drives import Part
-from diffsea.vessel.estimates.outline import Outline
+from diffsea.vessel.estimates.outline import CENTRE_OF_GRAVITY_WIDTH, Outline
 from diffsea.vessel.estimates.scatter import COUPLINGS, DerivativeEstimate
 
 
@@ -53,6 +53,8 @@ def vessel_text(
         "# may stand beside them, as in a file for --priors.",
         "[prior]",
     ]
+    if "x_G" in outline.assumed:
+        lines.append(_prior_line("x_G", {"std": CENTRE_OF_GRAVITY_WIDTH * outline.length}))
     for one in hull.values():
         width = {"std": one.std} if one.name in COUPLINGS else {"spread": one.spread}
         lines.append(_prior_line(one.name, width))
@@ -84,7 +86,7 @@ def _body_lines(outline: Outline) -> list[str]:
         ("beam", outline.beam, "m, over all, as given"),
         ("draught", outline.draught, f"m, {said('draught')}"),
         ("mass", outline.mass, f"kg, {said('mass')}"),
-        ("x_G", 0.0, "m, assumed amidships"),
+        ("x_G", outline.x_G, f"m ahead of amidships, {said('x_G')}"),
         ("I_z", outline.I_z, f"kg m^2, assumed: radius of gyration 0.25 L{in_hulls}"),
     )
     return [_line(*row) for row in rows]
