@@ -16,7 +16,7 @@ from diffsea.vessel.base import OrderUnit
 from diffsea.vessel.effects import catalogue_name
 from diffsea.vessel.effects.actuators import ORDER_UNIT, OrderedChannels
 from diffsea.vessel.effects.compass import TurnedByMotors
-from diffsea.vessel.effects.entry import MeasuredChannels
+from diffsea.vessel.effects.entry import DegreesOfFreedom, MeasuredChannels
 
 
 PAGE = Path(__file__).resolve().parents[1] / "effects.md"
@@ -25,6 +25,7 @@ PLACES = {  # keys, by what is chosen
     OrderedChannels: "actuators",
     MeasuredChannels: "channels",
     TurnedByMotors: "actuators",
+    DegreesOfFreedom: "degrees_of_freedom",
 }
 
 FAMILIES = {
@@ -301,7 +302,12 @@ KEYS = {
         "time": _TIME,
         "x": "where it lies, forward of amidships; without it amidships",
     },
-    "drag-change": {"factor": "relative change: 0.2 is a fifth more", "time": _TIME},
+    "drag-change": {
+        "factor": "relative change: 0.2 is a fifth more; needed",
+        "time": _TIME,
+        "degrees_of_freedom": '`["surge"]` where only the resistance ahead changes, as by weed or '
+        "fouling; without it the damping in all of them",
+    },
     "roll-coupling": {"Y_phi": "force by heel", "N_phi": "moment by heel"},
 }
 KEY_UNITS = {

@@ -17,7 +17,8 @@ quadratic-damping, sway-yaw-coupling, speed-dependent-damping, added-mass-coupli
                       keys added to the hull's
 munk-moment           N += size u_r v_r, the size named "Y_vdot - X_udot"
 roll-coupling         Y += Y_phi phi, N += N_phi phi, phi(t) given to the simulator as `heel`
-drag-change           derivative damping and cross-flow drag x (1 + factor) from `time`
+drag-change           derivative damping and cross-flow drag x (1 + factor) from `time`, in X
+                      alone where `degrees_of_freedom` is ["surge"]
 mass-change           mass more at x (amidships) from `time`, the velocity unbroken
 thrust-change         forces of thrusters and propellers, or of some, x (1 + factor) from `time`
 thrust-lag, thrust-delay, deadband, backlash, actuator-bias: added to the channel's own
@@ -154,7 +155,10 @@ def apply(model: Model, data: dict[str, list[dict]], effect: dict) -> None:
     elif name == "roll-coupling":
         model.forces.append(roll_force(model, values.get("Y_phi", 0.0), values.get("N_phi", 0.0)))
     elif name == "drag-change":
-        model.drag_steps.append((values["time"], 1.0 + values["factor"]))
+        if values.get("degrees_of_freedom") == ["surge"]:
+            model.late_forces.append((values["time"], more_resistance(model, values["factor"])))
+        else:
+            model.drag_steps.append((values["time"], 1.0 + values["factor"]))
     elif name == "thrust-change":
         changed = values["time"], 1.0 + values["factor"], values.get("actuators")
         model.thrust_steps.append(changed)
@@ -224,6 +228,15 @@ def hull_drag(model: Model, terms, u: float, v: float, r: float) -> list[float]:
         Y, N = Y + y, N + n
     room = 1.0 - model.shallow
     return [X * room**-0.25, Y / room, N / room]
+
+
+def more_resistance(model: Model, share: float):
+    terms = H.damping_terms(model.hull)
+
+    def force(t, psi, u, v, u_r, v_r, r):
+        return share * hull_drag(model, terms, u_r, v_r, r)[0], 0.0, 0.0
+
+    return force
 
 
 def munk_moment(size: float):

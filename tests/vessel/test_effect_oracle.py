@@ -149,6 +149,8 @@ CASES = [
     ("ship", "mass-change", {"time": 12.0, "mass": -900.0}),
     ("twin", "mass-change", {"time": 4.2, "mass": 60.0, "x": -0.9}),
     ("twin with cross-flow", "drag-change", {"time": 4.2, "factor": 0.8}),
+    ("twin with cross-flow", "drag-change", {"time": 4.2, "factor": 0.8,
+                                             "degrees_of_freedom": ["surge"]}),
     ("twin", "roll-coupling", {"Y_phi": 300.0, "N_phi": 500.0}),
 ]  # fmt: skip
 # The library makes a change at a time a logistic of WIDTH sqrt(L / g) s, to have a derivative by

@@ -122,7 +122,7 @@ class Hypothesis:
         """
         effect, beside = EFFECTS[self.effect], EFFECTS[other.effect]
         is_own = effect.is_law and beside.family == "environment"
-        is_of_all = effect.is_law and effect.place == Place()
+        is_of_all = effect.is_law and (effect.family == "hull" or effect.place == Place())
         is_law = is_of_all and catalogue_name(other.effect) == "feedback-error"
         return is_own or is_law or self.is_part_of(other)
 

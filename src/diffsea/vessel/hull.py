@@ -198,6 +198,7 @@ class Change(AbstractDependentForce):
     time: Scalar  # s, on the run's clock
     part: str = eqx.field(static=True)  # "resistance" or "thrust"
     shares: Mapping[str, Scalar] | None = None  # that change, of single propulsors; None: all of it
+    in_surge: bool = eqx.field(static=True, default=False)  # whether nothing else changes
 
     def __call__(
         self, vessel: Vessel, forces: Forces, water: State, environment: Environment, t: Scalar
@@ -205,6 +206,8 @@ class Change(AbstractDependentForce):
         changed = vessel.sum_of_part(forces, self.part)
         if self.shares is not None:
             changed = sum((forces[n] * share for n, share in self.shares.items()), Force())
+        if self.in_surge:
+            changed = Force(changed.X, 0.0, 0.0)
         return changed * (self.factor * step(t, self.time, vessel.rigid_body.length))
 
 

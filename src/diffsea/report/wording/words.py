@@ -9,7 +9,7 @@ from diffsea.report.quantities import is_known, odds, round_to_error, with_error
 from diffsea.trajectory import in_words
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
 from diffsea.vessel.effects.actuators import SIDES, OrderedChannels
-from diffsea.vessel.effects.entry import MeasuredChannels
+from diffsea.vessel.effects.entry import DegreesOfFreedom, MeasuredChannels
 
 
 Record = dict[str, Any]  # a part of diagnosis.json or fit.json
@@ -87,16 +87,19 @@ class PhrasedParameter:
 
 
 def catalogue_entry(effect: Record) -> Effect | None:
-    """The effect's entry of the catalogue: of variants that with its channels or parameters.
+    """The effect's entry of the catalogue: of variants that with its channels (degrees of
+    freedom) or parameters.
 
     Of those with the same parameters one that acts on some actuators, where it does.
     """
-    name, late = effect["name"], set(effect.get("channels", ()))
+    name = effect["name"]
+    some = {*effect.get("channels", ()), *effect.get("degrees_of_freedom", ())}
     variants = [one for one in EFFECTS.values() if name in (one.name, catalogue_name(one.name))]
     alike = [
         one
         for one in variants
-        if isinstance(one.place, MeasuredChannels) and set(one.place.names) == late
+        if isinstance(one.place, MeasuredChannels | DegreesOfFreedom)
+        and set(one.place.names) == some
     ]
     told = [one for one in variants if set(one.units) == set(effect["parameters"])]
     on_some = bool(effect.get("actuators"))
@@ -119,7 +122,8 @@ def phrase(effect: Record) -> str:
 
 def acted_on(effect: Record) -> str:
     """What an effect acts on, where it has a choice: ` of heading, yaw rate`."""
-    names = [*in_words(effect.get("channels") or ()), *(effect.get("actuators") or ())]
+    names = in_words(effect.get("channels") or ())
+    names += [*(effect.get("actuators") or ()), *(effect.get("degrees_of_freedom") or ())]
     return f" of {', '.join(names)}" if names else ""
 
 

@@ -80,6 +80,17 @@ class MeasuredChannels(Place):
 
 
 @dataclasses.dataclass(frozen=True)
+class DegreesOfFreedom(Place):
+    """Some of surge, sway and yaw."""
+
+    names: tuple[str, ...]
+
+    def in_file(self, vessel: Vessel) -> dict[str, list[str]]:
+        """All of them by name."""
+        return {"degrees_of_freedom": list(self.names)}
+
+
+@dataclasses.dataclass(frozen=True)
 class Effect:
     """One entry of the catalogue.
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import equinox as eqx
 
+from diffsea.errors import UserError
 from diffsea.scales import GRAVITY, froude_speed
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
@@ -19,11 +20,14 @@ from diffsea.vessel.effects.coordinates import (
 )
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
+    DegreesOfFreedom,
     Effect,
     Parametrisation,
+    Place,
     add_force,
     add_to,
     entry,
+    read_names,
     read_table,
     with_force,
 )
@@ -174,16 +178,37 @@ def crossflow_drag(vessel: Vessel, cd: CoordinateValues) -> Vessel:
     return with_force(vessel, "crossflow-drag", drag)
 
 
-@hull_effect(
-    "drag-change",
-    Size("factor", "1", 0.2, ALL_LOST_AT_MOST),
-    Onset(),
-    phrase="a drag that is {factor:%} {factor:larger|smaller} from {time:size} on",
-    confusables=("thrust-change", "mass-change", "shallow-water"),
-)
-def drag_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
-    """Damping of the hull times (1 + factor) from `time` on the run's clock."""
-    return add_force(vessel, "drag-change", Change(at[0], at[1], "resistance"))
+def _read_drag_change(
+    vessel: Vessel, table: Table, variants: Sequence[Effect], where: str
+) -> Vessel:
+    """A change of all damping, or of the resistance ahead where a table says so."""
+    whole, in_surge = variants
+    key = "degrees_of_freedom"
+    names = read_names(table, key, where, ' such as ["surge"]')
+    if names not in (None, ["surge"]):
+        raise UserError(f'{where}: {key} is ["surge"], or left out: the damping in all of them')
+    needed(table, "factor", where)
+    return read_table(vessel, table, [whole if names is None else in_surge], where, (key,))
+
+
+def _drag_change(name: str, phrase: str, place: Place) -> Effect:
+    in_surge = isinstance(place, DegreesOfFreedom)
+
+    @hull_effect(
+        name,
+        Size("factor", "1", 0.2, ALL_LOST_AT_MOST),
+        Onset(),
+        phrase=f"{phrase} that is {{factor:%}} {{factor:larger|smaller}} from {{time:size}} on",
+        confusables=("thrust-change", "mass-change", "shallow-water"),
+        place=place,
+        read=_read_drag_change,
+    )
+    def drag_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
+        """Damping of the hull times (1 + factor) from `time` on the run's clock."""
+        change = Change(at[0], at[1], "resistance", in_surge=in_surge)
+        return add_force(vessel, "drag-change", change)
+
+    return drag_change
 
 
 def _may_couple(vessel: Vessel) -> bool:
@@ -342,6 +367,7 @@ HULL = (
         "{x:ahead of|aft of} amidships",
         _load_place(),
     ),
-    drag_change,
+    _drag_change("drag-change", "a drag", Place()),
+    _drag_change("drag-change:surge", "a drag ahead", DegreesOfFreedom(("surge",))),
     *_one_by_one({"Y_phi": "N/rad", "N_phi": "N m/rad"}, _roll_coupling),
 )
