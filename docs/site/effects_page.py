@@ -303,7 +303,7 @@ KEYS = {
         "x": "where it lies, forward of amidships; without it amidships",
     },
     "drag-change": {
-        "factor": "relative change: 0.2 is a fifth more; needed",
+        "factor": "relative change: 0.2 is a fifth more",
         "time": _TIME,
         "degrees_of_freedom": '`["surge"]` where only the resistance ahead changes, as by weed or '
         "fouling; without it the damping in all of them",

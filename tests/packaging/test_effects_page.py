@@ -20,7 +20,11 @@ SECTIONS = {
     text.split("\n", 1)[0]: text.split("\n## ")[0] for text in re.split(r"^### ", PAGE, flags=re.M)
 }
 NAMES = sorted({catalogue_name(name) for name in EFFECTS})
-VALUES = {"channels": ["psi"], "depth": 50.0}  # what is not 0.5 where it is tried
+VALUES = {
+    "degrees_of_freedom": ["surge"],
+    "channels": ["psi"],
+    "depth": 50.0,
+}  # what is not 0.5 where it is tried
 CHANNELS = {"lever-arm": ["x", "y"]}  # by effect, where others are asked for
 RECEIVED = {"turned_by": ["psi"], "channels": ["x", "y", "u", "v"]}  # keys that go together
 

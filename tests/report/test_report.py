@@ -927,6 +927,9 @@ def test_a_change_says_by_how_much_of_what_there_was_and_a_stage_which_actuators
     at = (60.2, 0.2, "s")
     grown = said("drag-change", sizes={"time": at, "factor": (0.396, 0.012, "1")})
     assert grown == "a drag that is 40 % larger from 60 s on"
+    ahead = {"degrees_of_freedom": ["surge"]}
+    fouled = said("drag-change", sizes={"time": at, "factor": (0.396, 0.012, "1")}, **ahead)
+    assert fouled == "a drag ahead that is 40 % larger from 60 s on"
     lost = said("thrust-change", sizes={"time": at, "factor": (-0.25, 0.01, "1")})
     assert lost == "a thrust that is 25 % smaller from 60 s on"
     lighter = said("mass-change", sizes={"time": at, "mass": (-13.2, 0.5, "kg")})

@@ -187,7 +187,6 @@ def _read_drag_change(
     names = read_names(table, key, where, ' such as ["surge"]')
     if names not in (None, ["surge"]):
         raise UserError(f'{where}: {key} is ["surge"], or left out: the damping in all of them')
-    needed(table, "factor", where)
     return read_table(vessel, table, [whole if names is None else in_surge], where, (key,))
 
 
