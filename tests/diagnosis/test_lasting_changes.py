@@ -48,3 +48,25 @@ def test_weed_in_one_propeller_is_found_from_when_it_was_there(dated):
     assert "s into run 21" in found.html()
     (table,) = found.diagnosed.document["effect"]
     assert table["actuators"] == ["starboard"] and "time" not in table
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("ahead", [True, False])
+def test_a_drag_that_grows_ahead_alone_is_told_from_one_in_all_directions(ahead):
+    """Weed holds the way ahead, and hardly a drift: of two runs, one catches it half way."""
+    weed = {"time": 30.0, "factor": 0.8} | ({"degrees_of_freedom": ["surge"]} if ahead else {})
+    runs = [
+        dataclasses.replace(random_steps(DOCUMENT, k, SECONDS, STEP, one), name=f"run {k}")
+        for k, one in ((30, {"drag-change": weed}), (31, {"drag-change": weed}), (32, {}))
+    ]
+    file = VesselFile(build(DOCUMENT), DOCUMENT, "usv.toml")
+    found = diffsea.diagnose(file, runs[:1], runs[1:2], quick=True, reference=runs[2:])
+    (effect,) = found.record["effects"]
+    assert effect["name"] == "drag-change"
+    assert ("degrees_of_freedom" in effect) == ahead
+    for key, true in (("time", 30.0), ("factor", 0.8)):
+        one = effect["parameters"][key]
+        assert abs(one["value"] - true) < 3 * one["std"] < 1.2 * true
+    assert any("a drag ahead that is" in line for line in found.notes()) == ahead
+    (table,) = found.diagnosed.document["effect"]
+    assert (table.get("degrees_of_freedom") == ["surge"]) == ahead
