@@ -306,6 +306,35 @@ def json_log(boat, path):
         writer.finish()
 
 
+def ros_json_log(boat, path, received=0.0):
+    """Writes the messages of ROS as JSON in MCAP, with the names of their fields.
+
+    Arguments:
+        received: delay (s) with which messages with a header reach the recorder.
+    """
+    from mcap.writer import Writer
+
+    def plain(value):
+        if hasattr(value, "__msgtype__"):
+            fields = vars(value).items()
+            return {k: plain(v) for k, v in fields if not k.startswith("__") and not k.isupper()}
+        return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        channels = {}
+        for topic, t, message in ros_messages(boat, "db3"):
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, "json", schema)
+            late = received if hasattr(message, "header") else 0.0
+            stamp = EPOCH + round((t + late) * SECOND)
+            content = json.dumps(plain(message)).encode()
+            writer.add_message(channels[topic], stamp, content, stamp)
+        writer.finish()
+
+
 def px4_log(boat):
     """Bytes of a PX4 log: motor 1 to starboard, motor 2 to port, orders from -1 to 1."""
     formats = {

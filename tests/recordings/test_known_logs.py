@@ -46,6 +46,10 @@ def log(tmp_path, boat, request):
         elif kind == "mcap":
             pytest.importorskip("mcap", reason="needs diffsea[mcap]")
             driven_boat.json_log(boat, path)
+        elif kind == "rosjson":
+            pytest.importorskip("mcap", reason="needs diffsea[mcap]")
+            path = tmp_path / "rosjson.mcap"
+            driven_boat.ros_json_log(boat, path, received=0.5)
         elif kind == "ulg":
             pytest.importorskip("pyulog", reason="needs diffsea[px4]")
             path.write_bytes(driven_boat.px4_log(boat))
@@ -70,6 +74,7 @@ NAMES = {
     "tlog": "mavlink-tlog",
     "csv": "mavlink-csv",
     "mcap": "mcap-json",
+    "rosjson": "mcap-json",
     "ulg": "px4-ulg",
 }
 
@@ -79,7 +84,7 @@ def test_sides_heading_and_motion_of_every_known_log_are_the_truth(log, boat, ki
     path = log(kind)
     run = read_recording(path)
     assert recognised(path).log == NAMES.get(kind, "ros-bag")
-    zero = 0.0 if kind in ("ros1", "db3") else BOOT
+    zero = 0.0 if kind in ("ros1", "db3", "rosjson") else BOOT
     rows = np.interp(run.t - zero, boat.t, np.arange(boat.t.size))
     truth = lambda name: np.interp(rows, np.arange(boat.t.size), getattr(boat, name))
     for name, tolerance in {

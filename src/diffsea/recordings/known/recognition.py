@@ -6,7 +6,7 @@ import importlib.resources
 import tomllib
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from diffsea.errors import UserError
 from diffsea.recordings import logs
@@ -80,12 +80,56 @@ def recognise(path: str | Path) -> Recognised | None:
     """
     path = Path(path)
     form = logs.format_of(path)
-    layout = None if form is None else _layouts().get(form.name)
-    if form is None or layout is None:
+    layouts = [] if form is None else _layouts().get(form.name, [])
+    if form is None or not layouts:
         return None
-    found, others, file = logs.contents(path), [], dict(layout.get("file", {}))
+    found = logs.contents(path)
     if own := {t: fields for t, fields in found.items() if t.startswith(OWN_TOPICS)}:
         return _exported(form.name, own, path)
+    filled = [_fill(layout, path, found) for layout in layouts]
+    for one in filled:
+        if one.has_motion:
+            return one.recognised(form.name, path)
+    if form.name == "ros-bag":  # it may have anything: the message on mappings lists it
+        return None
+    most = max(filled, key=lambda one: len(one.channels))
+    lacking = "\n  ".join(most.missing.values())
+    raise UserError(f"{path} was read as {most.title}, and no motion is in it:\n  {lacking}")
+
+
+class _Filled(NamedTuple):
+    """A layout with what a log has of it."""
+
+    title: str
+    file: dict[str, Any]
+    channels: dict[str, Any]
+    outputs: list[Output]
+    parameters: dict[str, float]
+    missing: dict[str, str]
+    others: list[str]
+
+    @property
+    def has_motion(self) -> bool:
+        """Whether any motion of the vessel is in it."""
+        return any(name in self.channels for name in (*MOTION_CHANNELS, "latitude"))
+
+    def recognised(self, log: str, path: Path) -> Recognised:
+        """The log of a format, with the mapping that this is."""
+        mapping = mapping_from({"file": self.file, "columns": self.channels}, path)
+        return Recognised(
+            log,
+            self.title,
+            dataclasses.replace(mapping, name=f"the known mapping of {self.title}"),
+            tuple(self.outputs),
+            _craft(self.channels, self.parameters),
+            self.missing,
+            tuple(self.others),
+        )
+
+
+def _fill(layout: dict[str, Any], path: Path, found: Contents) -> _Filled:
+    """The channels of a layout that a log can fill from the topics found in it."""
+    others, file = list[str](), dict(layout.get("file", {}))
     channels: dict[str, Any] = {}
     parameters: dict[str, float] = {}
     outputs: list[Output] = []
@@ -104,33 +148,18 @@ def recognise(path: str | Path) -> Recognised | None:
             file["clock"] = Column(next(iter(_plain(columns).values()))).topic_and_field[0]
         channels |= columns
         others += [f"{', '.join(columns)} might also be from {topic}" for topic in rivals]
-    missing = _missing(layout, channels, found)
-    if not any(name in channels for name in (*MOTION_CHANNELS, "latitude")):
-        if form.name == "ros-bag":  # it may have anything: the message on mappings lists it
-            return None
-        lacking = "\n  ".join(missing.values())
-        raise UserError(
-            f"{path} was read as {layout['title']}, and no motion is in it:\n  {lacking}"
-        )
     if file.get("velocity_axes") == "earth" and "u" not in channels:
         del file["velocity_axes"]
-    mapping = mapping_from({"file": file, "columns": channels}, path)
-    return Recognised(
-        form.name,
-        layout["title"],
-        dataclasses.replace(mapping, name=f"the known mapping of {layout['title']}"),
-        tuple(outputs),
-        _craft(channels, parameters),
-        missing,
-        tuple(others),
-    )
+    missing = _missing(layout, channels, found)
+    return _Filled(layout["title"], file, channels, outputs, parameters, missing, others)
 
 
 def column_of_output(path: Path, number: int) -> str:
     """The column in which a log has the pulse widths of an output of the autopilot."""
     form = logs.format_of(path)
-    layout = {} if form is None else _layouts().get(form.name, {})
-    return layout.get("outputs", "SERVO{number}").format(number=number).removeprefix("*")
+    layouts = [] if form is None else _layouts().get(form.name, [])
+    named = [layout["outputs"] for layout in layouts if "outputs" in layout]
+    return (named or ["SERVO{number}"])[0].format(number=number).removeprefix("*")
 
 
 def _exported(log: str, found: Contents, path: Path) -> Recognised:
@@ -159,13 +188,14 @@ def _own_channel(topic: str) -> str:
 
 
 @functools.cache
-def _layouts() -> dict[str, dict[str, Any]]:
-    """The layouts that there are, by the formats of logs that they are for."""
-    found = {}
-    for file in _LAYOUTS.iterdir():
+def _layouts() -> dict[str, list[dict[str, Any]]]:
+    """The layouts that there are, by the formats of logs that they are for, in order of names."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for file in sorted(_LAYOUTS.iterdir(), key=lambda file: file.name):
         if file.name.endswith(".toml"):
             layout = tomllib.loads(file.read_text(encoding="utf-8"))
-            found |= {log: layout for log in layout["logs"]}
+            for log in layout["logs"]:
+                found.setdefault(log, []).append(layout)
     return found
 
 

@@ -1,5 +1,6 @@
 """MCAP files with JSON messages, as BlueOS records: every topic a stream, objects flattened."""
 
+import dataclasses
 import json
 import re
 import struct
@@ -20,6 +21,7 @@ from diffsea.recordings.logs.streams import (
 )
 from diffsea.recordings.mappings import Mapping
 from diffsea.recordings.rotations import angles_in
+from diffsea.trajectory import Samples
 
 
 _LOOKED_AT = 1 << 20  # bytes at either end of a file, where its channels are told
@@ -63,13 +65,13 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
 
     A field is named by its path, `message.yaw`. Topics that carry MAVLink messages of several
     types are parted by type, `mavlink/out/ATTITUDE`. Time is that since boot where MAVLink
-    messages tell it, else that at which the recorder received the message.
+    messages tell it, or that of the header where messages have one as those of ROS do, else that
+    at which the recorder received the message.
 
     Raises:
         UserError: the file is no MCAP file, or a message is no JSON.
     """
-    del mapping
-    found = _streams(path)
+    found = _streams(path, with_headers=mapping.stamps == "header")
     return {topic: found[topic] for topic in topics if topic in found}
 
 
@@ -85,7 +87,7 @@ def parameters(path: Path) -> list[tuple[str, float]]:
     return found
 
 
-def _streams(path: Path) -> dict[str, Stream]:
+def _streams(path: Path, with_headers: bool = True) -> dict[str, Stream]:
     rows: dict[str, list[dict[str, float]]] = {}
     received: dict[str, list[float]] = {}
     messages, cut_off = _messages(path)
@@ -94,17 +96,34 @@ def _streams(path: Path) -> dict[str, Stream]:
         _flatten(content, "", fields)
         rows.setdefault(topic, []).append(fields)
         received.setdefault(topic, []).append(stamp)
-    times, series = {}, {}
+    times, series, stamped = {}, {}, set[str]()
     for topic, own in rows.items():
         stamps = np.array(received[topic])
-        order = np.argsort(stamps, kind="stable")  # of several writers
-        times[topic] = stamps[order]
-        series[topic] = {
-            name: np.array([row.get(name, np.nan) for row in own], dtype=float)[order]
+        fields = {
+            name: np.array([row.get(name, np.nan) for row in own], dtype=float)
             for name in dict.fromkeys(name for row in own for name in row)
         }
+        header = _header_stamps(fields)
+        if with_headers and header is not None:
+            stamps = header
+            stamped.add(topic)
+        order = np.argsort(stamps, kind="stable")  # of several writers, or overtaken on their way
+        times[topic] = stamps[order]
+        series[topic] = {name: values[order] for name, values in fields.items()}
         series[topic] |= angles_in(series[topic])
-    return mavlink_streams(times, series, path.name, cut_off)
+    found = mavlink_streams(times, series, path.name, cut_off)
+    by_header = {t: dataclasses.replace(found[t], clock="header stamps") for t in stamped}
+    return found | by_header
+
+
+def _header_stamps(fields: dict[str, Samples]) -> Samples | None:
+    """Times (s) of the headers of messages as ROS has them; None unless each has one."""
+    for seconds, rest in (("sec", "nanosec"), ("secs", "nsecs")):
+        parts = [fields.get(f"header.stamp.{name}") for name in (seconds, rest)]
+        if all(part is not None for part in parts):
+            stamps = parts[0] + 1e-9 * parts[1]
+            return stamps if np.all(stamps > 0) else None
+    return None
 
 
 def _messages(path: Path) -> tuple[list[tuple[str, float, Any]], str]:
