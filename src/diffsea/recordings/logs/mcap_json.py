@@ -99,17 +99,17 @@ def _streams(path: Path, with_headers: bool = True) -> dict[str, Stream]:
     times, series, stamped = {}, {}, set[str]()
     for topic, own in rows.items():
         stamps = np.array(received[topic])
-        fields = {
+        columns = {
             name: np.array([row.get(name, np.nan) for row in own], dtype=float)
             for name in dict.fromkeys(name for row in own for name in row)
         }
-        header = _header_stamps(fields)
+        header = _header_stamps(columns)
         if with_headers and header is not None:
             stamps = header
             stamped.add(topic)
         order = np.argsort(stamps, kind="stable")  # of several writers, or overtaken on their way
         times[topic] = stamps[order]
-        series[topic] = {name: values[order] for name, values in fields.items()}
+        series[topic] = {name: values[order] for name, values in columns.items()}
         series[topic] |= angles_in(series[topic])
     found = mavlink_streams(times, series, path.name, cut_off)
     by_header = {t: dataclasses.replace(found[t], clock="header stamps") for t in stamped}
@@ -119,9 +119,9 @@ def _streams(path: Path, with_headers: bool = True) -> dict[str, Stream]:
 def _header_stamps(fields: dict[str, Samples]) -> Samples | None:
     """Times (s) of the headers of messages as ROS has them; None unless each has one."""
     for seconds, rest in (("sec", "nanosec"), ("secs", "nsecs")):
-        parts = [fields.get(f"header.stamp.{name}") for name in (seconds, rest)]
-        if all(part is not None for part in parts):
-            stamps = parts[0] + 1e-9 * parts[1]
+        whole, part = (fields.get(f"header.stamp.{name}") for name in (seconds, rest))
+        if whole is not None and part is not None:
+            stamps = whole + 1e-9 * part
             return stamps if np.all(stamps > 0) else None
     return None
 

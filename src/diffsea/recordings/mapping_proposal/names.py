@@ -109,12 +109,12 @@ def suggest_labels(name: str, stated_unit: str = "") -> Suggestion:
     """
     bare = re.sub(r"[\[(<{].*?[\])>}]", " ", name)  # without what stands in brackets
     bare = re.sub(r"([a-z])([A-Z])", r"\1 \2", bare)
-    words = _words(bare)
+    words = _words_of(bare)
     tails = [" ".join(words[-length:]) for length in (2, 1) if len(words) > length]
     tail = next((_UNIT_TAILS[tail] for tail in tails if tail in _UNIT_TAILS), "")
     unit = _known_unit(stated_unit or unit_in(name)) or tail
     entry = _vocabulary_entry(words)
-    own = _vocabulary_entry(_words(bare.rpartition("/")[2]))
+    own = _vocabulary_entry(_words_of(bare.rpartition("/")[2]))
     if entry and own and "rudder" in entry and {"propeller", "thrust"} & set(own):
         entry = own  # a throttle among the topics of a helm
     if entry and tail == "ms" == unit and LABELS[max(entry, key=lambda of: entry[of])] == "speed":
@@ -174,7 +174,7 @@ def unit_in(name: str) -> str:
     return found[-1] if found else ""
 
 
-def _words(text: str) -> tuple[str, ...]:
+def _words_of(text: str) -> tuple[str, ...]:
     """The words of a text, in small letters."""
     return tuple(word.lower() for word in re.split(r"[^A-Za-zµ°äöüß]+", text) if word)
 
