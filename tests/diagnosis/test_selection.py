@@ -263,6 +263,23 @@ def test_an_effect_is_asked_for_again_with_the_constancy_that_it_has_by_now(data
     assert kept.final is found.final and not changed
 
 
+def test_an_effect_is_asked_for_again_as_it_was_seen_last(data, found, monkeypatch):
+    """Not as the short list has it that it came from: when it began may have been found since."""
+    first, second = found.effects
+    moved = dataclasses.replace(first.hypothesis.candidate, reach=7.0)
+    hypothesis = dataclasses.replace(first.hypothesis, candidate=moved)
+    first = dataclasses.replace(first, hypothesis=hypothesis)
+    assert first.name in {one.effect for one in first.short_list.judged}
+    asked = []
+    fully = elimination.refit_fully
+    monkeypatch.setattr(
+        elimination, "refit_fully", lambda *given: asked.extend(given[-1]) or fully(*given)
+    )
+    search = dataclasses.replace(found, effects=(first, second))
+    ask_again(data, search, (first,), no_progress)
+    assert [one.candidate for one in asked if one.effect == first.name] == [moved]
+
+
 def test_an_effect_that_others_make_needless_is_dropped(data, found):
     """A lever arm that was never there, accepted beside the two causes."""
     names = (*FREE, "lever-arm", *accepted_names(found))

@@ -1,7 +1,8 @@
 """Backward elimination of effects that were accepted beside others.
 
-What was accepted early is asked for again beside what came later; what stands out no more than what
-is left over, and what makes predictions worse together with the rest, is withdrawn.
+What was accepted early is asked for again beside what came later, and when it began; what stands
+out no more than what is left over, and what makes predictions worse together with the rest, is
+withdrawn.
 """
 
 import math
@@ -11,6 +12,7 @@ from diffsea.budget import current_budget
 from diffsea.diagnosis.bootstrap import Bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList
 from diffsea.diagnosis.hypotheses import Hypothesis
+from diffsea.diagnosis.onsets import with_onset_beside_others
 from diffsea.diagnosis.refits import Refit, refit_fully, refit_without
 from diffsea.diagnosis.screening import screen
 from diffsea.diagnosis.selection import ALPHA, Search, choose
@@ -21,6 +23,18 @@ from diffsea.identification.free_predictions import motion_change
 from diffsea.identification.holdout import Split
 from diffsea.progress import Progress
 from diffsea.vessel.effects import spoken_name
+
+
+def ask_when_again(data: Split, found: Search, progress: Progress) -> Search:
+    """Ask again when changes began, beside the effects that were found after them."""
+    final, effects = found.final, list(found.effects)
+    for one in found.searched[:-1]:
+        final, hypothesis = with_onset_beside_others(data.train, final, one.hypothesis, progress)
+        effects[effects.index(one)] = replace(one, hypothesis=hypothesis)
+    if final is found.final:
+        return found
+    screening = screen(data.train, final)
+    return replace(found, final=final, final_screening=screening, effects=tuple(effects))
 
 
 def ask_again(
@@ -68,7 +82,7 @@ def _refit_with_rivals(
     data: Split, bare: Estimate, current: Estimate, accepted: AcceptedEffect
 ) -> list[Hypothesis]:
     """An accepted effect and its near rivals, each fitted beside what is left without it."""
-    rivals = [accepted.hypothesis, *accepted.short_list.judged]
+    rivals = [*accepted.short_list.judged, accepted.hypothesis]  # as it is now
     options = {one.effect: one for one in rivals if one.effect not in bare.free}
 
     def refit(one: Hypothesis) -> Refit:

@@ -18,7 +18,7 @@ from diffsea.identification.fit import STALLED_GAIN, Start, estimate, estimate_s
 from diffsea.identification.holdout import Split
 from diffsea.identification.problem import Problem
 from diffsea.progress import Progress
-from diffsea.vessel.effects import EFFECTS, Onset
+from diffsea.vessel.effects import EFFECTS, Onset, spoken_name
 
 
 TIMES = 64  # within reach of where a change was seen
@@ -49,6 +49,38 @@ def with_likeliest_onset(
     better = judge_fitted(data, current, fitted, found.candidate)
     better = dataclasses.replace(better, exchanged=found.exchanged)
     return better if better.is_judged else found
+
+
+def with_onset_beside_others(
+    problem: Problem, final: Estimate, found: Hypothesis, progress: Progress
+) -> tuple[Estimate, Hypothesis]:
+    """A model in which a change began when that is likeliest beside the effects found after it.
+
+    What these do was in the data still when it was found, and may have moved its time: all of the
+    recordings are asked. With the hypothesis of the change, as seen then. Both as they are where
+    nothing is likelier, or for an effect of all the time.
+
+    Arguments:
+        final: the model with the effects found after it.
+    """
+    scanned = EFFECTS[found.effect].scanned
+    if scanned is None or not isinstance(scanned[1], Onset):
+        return final, found
+    if current_budget().skips("a look for when a change began"):
+        return final, found
+    progress(f"when did it begin: {spoken_name(found.effect)}?")
+    place = int(problem.layout.indices((found.effect,))[scanned[0]])
+    size = EFFECTS[found.effect].sizes(problem.base)[scanned[0]]
+    recorded = np.asarray(problem.dataset.run_time)[problem.dataset.recorded_rows]
+    times = np.quantile(recorded, np.linspace(0.0, 1.0, 2 * TIMES + 2)[1:-1]) / size
+    better = likeliest_of(problem, final, place, np.unique(times))
+    if better is final:
+        return final, found
+    at = list(found.candidate.point.at)
+    at[scanned[0]] = float(better.coordinates[place])
+    point = dataclasses.replace(found.candidate.point, at=tuple(at))
+    candidate = dataclasses.replace(found.candidate, point=point)
+    return better, dataclasses.replace(found, candidate=candidate)
 
 
 def likeliest_of(

@@ -6,7 +6,12 @@ from dataclasses import dataclass, replace
 from diffsea.budget import current_budget
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, NO_BOOTSTRAP, Bootstrap, bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect
-from diffsea.diagnosis.elimination import ask_again, withdraw_outdone, withdraw_worsening
+from diffsea.diagnosis.elimination import (
+    ask_again,
+    ask_when_again,
+    withdraw_outdone,
+    withdraw_worsening,
+)
 from diffsea.diagnosis.first_hypotheses import (
     FirstHypothesis,
     audited_effects,
@@ -208,12 +213,14 @@ def explain(
 ) -> Diagnosis:
     """Name, model and locate what a nominal model that was fitted and screened lacks."""
     found = forward_search(data, begun, null, progress, deadline, effort)
-    # All effects but the last are asked for again, beside those that came after them.
-    asked = found.searched[:-1]
     left = current_budget()
-    if asked and deadline.is_over:
+    if found.searched[:-1] and deadline.is_over:
         left.note("asking again for the effects")
         found, asked = replace(found, complete=False), ()
+    else:
+        # All effects but the last are asked for again, beside those that came after them.
+        found = ask_when_again(data, found, progress)
+        asked = found.searched[:-1]
     kept, changed = ask_again(data, found, asked, progress)
     if changed:
         kept = replace(kept, final_screening=screen(data.train, kept.final))
