@@ -50,6 +50,7 @@ def test_it_is_said_once_for_all_recordings():
 
 @pytest.mark.parametrize("orders", [
     {"outboard.force": HELM["motor"], "outboard.angle": HELM["rudder"]},
+    {"outboard.force": HELM["motor"], "outboard.angle": HELM["rudder"], **HELM},
     {"rudder": HELM["rudder"]},
     HELM | {"propeller": HELM["motor"]},
 ])  # fmt: skip
