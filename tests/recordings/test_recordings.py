@@ -21,6 +21,7 @@ from diffsea import (
 )
 from diffsea.recordings import to_frame
 from diffsea.recordings.auditing.mapping_rows import mapping_text
+from diffsea.recordings.tables import read_table
 
 
 OVER_GROUND = """[file]
@@ -508,6 +509,17 @@ def test_mapping_repairs_late_channels_and_earth_axes(place):
     np.testing.assert_allclose(run.u, 0.3 * np.cos(1.5) - 0.7 * np.sin(1.5))
     np.testing.assert_allclose(run.v, -0.7 * np.cos(1.5) - 0.3 * np.sin(1.5))
     assert "x shifted by -1.5 s" in run.provenance
+
+
+def test_lists_and_structures_of_a_parquet_file_are_no_columns(tmp_path, place):
+    path, t = tmp_path / "nested.parquet", np.arange(5.0)
+    nested = {"list": [[1.0, 2.0]] * 5, "structure": [{"a": 1.0}] * 5, "text": ["a"] * 5}
+    pd.DataFrame({"t": t, "x": t, "y": t} | nested).to_parquet(path)
+    run = read_recording(path)
+    np.testing.assert_array_equal(run.x, t)
+    assert list(read_table(path, None).table.columns) == ["t", "x", "y", "text"]
+    with pytest.raises(UserError, match="'list'"):
+        read_recording(path, place('[columns]\nt = "t"\nx = "list"', "map.toml"))
 
 
 def test_parquet_goes_through_mappings_too(tmp_path, place):

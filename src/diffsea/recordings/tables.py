@@ -93,21 +93,28 @@ def _read_parquet(path: Path) -> pd.DataFrame:
     """The table of a Parquet file, whose size is known before it is expanded.
 
     Columns of text are read as the distinct texts and numbers of them, so that one long text in
-    many rows is seen before it is repeated. Raises `UserError` above the limit.
+    many rows is seen before it is repeated. Columns of lists and structures, of which none is a
+    series of numbers and rows do not tell the size, are not read. Raises `UserError` above the
+    limit.
     """
     import pyarrow as pa
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
     parts = pq.ParquetFile(path).metadata
+    # Of groups of rows alone: a damaged statistic of a column would end the process there.
     groups = [parts.row_group(k) for k in range(parts.num_row_groups)]
-    chunks = [group.column(k) for group in groups for k in range(group.num_columns)]
-    numbers = sum(max(chunk.total_uncompressed_size, 8 * chunk.num_values) for chunk in chunks)
-    check_size(path, max(numbers, 8 * parts.num_rows * parts.num_columns))
-    schema = pq.read_schema(path)
+    rows = max(parts.num_rows, sum(group.num_rows for group in groups))
+    numbers = max(sum(group.total_byte_size for group in groups), 8 * rows * parts.num_columns)
+    check_size(path, numbers)
+    whole = pq.read_schema(path)
+    fields = [field for field in whole if not pa.types.is_nested(field.type)]
+    is_flat = len(fields) == len(whole)
+    schema = whole if is_flat else pa.schema(fields)
+    read = None if is_flat else schema.names
     is_text = lambda kind: pa.types.is_string(kind) or pa.types.is_binary(kind)
     texts = [field.name for field in schema if is_text(field.type)]
-    table = pq.ParquetFile(path, read_dictionary=texts).read()
+    table = pq.ParquetFile(path, read_dictionary=texts).read(columns=read)
     size = numbers
     for name in set(texts):
         for column in (table.column(k) for k in table.schema.get_all_field_indices(name)):
