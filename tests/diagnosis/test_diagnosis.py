@@ -99,7 +99,7 @@ def test_the_record_keeps_the_contract_of_its_file(current):
 
 def test_candidates_of_one_name_are_told_apart(current):
     rows = summary(current, [])["candidates"]
-    keys = ("name", "variant", "channels", "actuators")
+    keys = ("name", "variant", "channels", "actuators", "degrees_of_freedom")
     kinds = [str([row.get(key) for key in keys]) for row in rows]
     assert len(kinds) == len(set(kinds)) > len({row["name"] for row in rows})
 
