@@ -133,6 +133,8 @@ def test_a_law_of_the_vessel_comes_before_a_record_that_is_off():
     law, order = judged("rudder-interaction", 155.0), judged("actuator-bias:steering", 155.0)
     assert decide(listed(record, law), None) is law
     assert decide(listed(record, order), None) is record
+    ahead = judged("drag-change:surge", 155.0)  # the hull's, if not in all directions
+    assert decide(listed(record, ahead), None) is ahead
     assert decide(listed(record, judged("rudder-interaction", 145.0)), None) is record
 
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 
 _PROPELLED = "--hull ship"  # a propeller's shaft, ordered in rev/s, and a rudder
+_ANY_SHARE = 1.5  # of full order, that a throttle in shares of one may exceed
 _STEERED = "--rudder"  # and a motor, as an outboard's orders look, too
 
 
@@ -196,7 +197,8 @@ def _unit_option(one: "LogCheck") -> str:
         if channel.startswith("cmd_") and not steers(name := channel.removeprefix("cmd_"))
     }
     percents = [
-        told.unit == "%" or ("throttle" in told.words and 1.5 < _largest_order(one, name) <= 100)
+        told.unit == "%"
+        or ("throttle" in told.words and _ANY_SHARE < _largest_order(one, name) <= 100)
         for name, told in orders.items()
     ]
     if percents and all(percents):

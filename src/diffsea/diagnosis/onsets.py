@@ -34,14 +34,12 @@ def with_likeliest_onset(
     Arguments:
         current: the model without its effect.
     """
-    scanned = EFFECTS[found.effect].scanned
-    if scanned is None or not isinstance(scanned[1], Onset):
-        return found
-    if current_budget().skips("a look for when a change began"):
+    number = _onset_to_ask(found.effect)
+    if number is None:
         return found
     progress("when did it begin?")
-    place = int(data.train.layout.indices((found.effect,))[scanned[0]])
-    seen = found.candidate.point.at[scanned[0]]
+    place = int(data.train.layout.indices((found.effect,))[number])
+    seen = found.candidate.point.at[number]
     times = seen + found.candidate.reach * np.linspace(-1.0, 1.0, TIMES + 2)[1:-1]
     fitted = likeliest_of(data.train, found.estimate, place, times)
     if fitted is found.estimate:
@@ -63,24 +61,30 @@ def with_onset_beside_others(
     Arguments:
         final: the model with the effects found after it.
     """
-    scanned = EFFECTS[found.effect].scanned
-    if scanned is None or not isinstance(scanned[1], Onset):
-        return final, found
-    if current_budget().skips("a look for when a change began"):
+    number = _onset_to_ask(found.effect)
+    if number is None:
         return final, found
     progress(f"when did it begin: {spoken_name(found.effect)}?")
-    place = int(problem.layout.indices((found.effect,))[scanned[0]])
-    size = EFFECTS[found.effect].sizes(problem.base)[scanned[0]]
+    place = int(problem.layout.indices((found.effect,))[number])
+    size = EFFECTS[found.effect].sizes(problem.base)[number]
     recorded = np.asarray(problem.dataset.run_time)[problem.dataset.recorded_rows]
     times = np.quantile(recorded, np.linspace(0.0, 1.0, 2 * TIMES + 2)[1:-1]) / size
     better = likeliest_of(problem, final, place, np.unique(times))
     if better is final:
         return final, found
     at = list(found.candidate.point.at)
-    at[scanned[0]] = float(better.coordinates[place])
+    at[number] = float(better.coordinates[place])
     point = dataclasses.replace(found.candidate.point, at=tuple(at))
     candidate = dataclasses.replace(found.candidate, point=point)
     return better, dataclasses.replace(found, candidate=candidate)
+
+
+def _onset_to_ask(effect: str) -> int | None:
+    """Which coordinate of an effect is when it began; None without one, or without time to ask."""
+    scanned = EFFECTS[effect].scanned
+    if scanned is None or not isinstance(scanned[1], Onset):
+        return None
+    return None if current_budget().skips("a look for when a change began") else scanned[0]
 
 
 def likeliest_of(

@@ -203,7 +203,9 @@ def _drag_change(name: str, phrase: str, place: Place) -> Effect:
         read=_read_drag_change,
     )
     def drag_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
-        """Damping of the hull times (1 + factor) from `time` on the run's clock."""
+        """Damping of the hull, or its force ahead alone, times (1 + factor) from `time` on the
+        run's clock.
+        """
         change = Change(at[0], at[1], "resistance", in_surge=in_surge)
         return add_force(vessel, "drag-change", change)
 
